@@ -1,0 +1,131 @@
+//! What the environment says of the domain, in the variables that ROS 2 has for it.
+
+use std::env;
+use std::net::{IpAddr, Ipv4Addr, ToSocketAddrs};
+
+/// The highest domain that there are ports for.
+const LAST_DOMAIN: u16 = 232;
+
+/// How far participants look for each other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DiscoveryRange {
+    /// Nowhere: nobody is found, and nobody finds us.
+    Off,
+    /// On this host, and on the static peers.
+    Localhost,
+    /// In the networks of this host, as far as multicast goes.
+    Subnet,
+}
+
+/// Which domain a node enters, and who may find it there.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Environment {
+    /// From 0 to 232.
+    pub domain: u16,
+    /// How far to look.
+    pub range: DiscoveryRange,
+    /// Hosts that are looked at in any case.
+    pub static_peers: Vec<Ipv4Addr>,
+}
+
+/// A variable of the environment that makes no sense.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{variable} is `{value}`: {cure}")]
+pub struct EnvironmentError {
+    variable: &'static str,
+    value: String,
+    cure: String,
+}
+
+impl Environment {
+    /// Reads `ROS_DOMAIN_ID`, `ROS_AUTOMATIC_DISCOVERY_RANGE`, `ROS_STATIC_PEERS` and
+    /// `ROS_LOCALHOST_ONLY`. What is unset or empty has ROS' default: domain 0, `SUBNET`.
+    ///
+    /// # Errors
+    /// A variable that ROS would not take, or a peer whose name is not known.
+    pub fn from_env() -> Result<Self, EnvironmentError> {
+        Self::from_variables(|name| env::var_os(name).map(|value| value.to_string_lossy().into()))
+    }
+
+    fn from_variables(
+        get: impl Fn(&'static str) -> Option<String>,
+    ) -> Result<Self, EnvironmentError> {
+        let get = |variable| get(variable).unwrap_or_default();
+        let wrong = |variable, value: &str, cure: String| EnvironmentError {
+            variable,
+            value: value.to_owned(),
+            cure,
+        };
+
+        let variable = "ROS_DOMAIN_ID";
+        let value = get(variable);
+        let domain = match value.parse() {
+            _ if value.is_empty() => 0,
+            Ok(domain) if domain <= LAST_DOMAIN => domain,
+            _ => {
+                let cure = format!("give a number from 0 to {LAST_DOMAIN}, or unset it");
+                return Err(wrong(variable, &value, cure));
+            }
+        };
+
+        let variable = "ROS_AUTOMATIC_DISCOVERY_RANGE";
+        let value = get(variable);
+        let mut range = match value.as_str() {
+            "OFF" => DiscoveryRange::Off,
+            "LOCALHOST" => DiscoveryRange::Localhost,
+            // The system's default is that of DDS, which is multicast.
+            "" | "SUBNET" | "SYSTEM_DEFAULT" => DiscoveryRange::Subnet,
+            _ => {
+                let cure = "give OFF, LOCALHOST, SUBNET or SYSTEM_DEFAULT, or unset it";
+                return Err(wrong(variable, &value, cure.to_owned()));
+            }
+        };
+
+        let variable = "ROS_STATIC_PEERS";
+        let value = get(variable);
+        let mut static_peers = vec![];
+        for peer in value.split(';').filter(|peer| !peer.is_empty()) {
+            match resolve(peer) {
+                Some(address) => static_peers.push(address),
+                None => {
+                    let cure = format!(
+                        "`{peer}` has no IPv4 address here; give addresses, or names that this \
+                         host resolves, with `;` between them"
+                    );
+                    return Err(wrong(variable, &value, cure));
+                }
+            }
+        }
+
+        // The older variable goes before the others where it is set, as in ROS.
+        let variable = "ROS_LOCALHOST_ONLY";
+        let value = get(variable);
+        match value.as_str() {
+            "" | "0" => {}
+            "1" => {
+                range = DiscoveryRange::Localhost;
+                static_peers.clear();
+            }
+            _ => {
+                let cure = "give 1 or 0, or unset it";
+                return Err(wrong(variable, &value, cure.to_owned()));
+            }
+        }
+        if range == DiscoveryRange::Off {
+            static_peers.clear();
+        }
+        Ok(Self {
+            domain,
+            range,
+            static_peers,
+        })
+    }
+}
+
+fn resolve(peer: &str) -> Option<Ipv4Addr> {
+    let mut addresses = (peer, 0).to_socket_addrs().ok()?;
+    addresses.find_map(|address| match address.ip() {
+        IpAddr::V4(address) => Some(address),
+        IpAddr::V6(_) => None,
+    })
+}

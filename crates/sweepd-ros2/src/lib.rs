@@ -1,0 +1,25 @@
+//! sweepd's sweeps on the ROS 2 graph, without ROS.
+//!
+//! ```no_run
+//! use sweepd_messages::message_type;
+//! use sweepd_ros2::{Durability, Environment, Node};
+//!
+//! let node = Node::new(&Environment::from_env()?, "/", "sweepd")?;
+//! let points = node.publisher("~/roof/points", &message_type::POINT_CLOUD, Durability::Volatile)?;
+//! if points.readers() > 0 {
+//!     let mut message = points.buffer();
+//!     message.extend([0, 1, 0, 0]); // ... CDR, its encapsulation first
+//!     points.publish(message);
+//! }
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+#![deny(unsafe_code)]
+#![warn(missing_docs)]
+
+pub mod environment;
+pub mod node;
+mod rtps;
+
+pub use environment::{DiscoveryRange, Environment, EnvironmentError};
+pub use node::{Durability, Node, NodeError, Publisher, Statistics, Subscriber};

@@ -1,0 +1,338 @@
+//! A ROS 2 node that publishes: names as ROS has them, and the graph that its tools show.
+
+use crate::environment::Environment;
+use crate::rtps::participant::{Participant, WriterHandle};
+use crate::rtps::writer::{Body, Offer};
+use std::io;
+use std::net::SocketAddrV4;
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use sweepd_messages::graph::{self, GidForm};
+use sweepd_messages::message_type::{self, MessageType};
+
+/// Samples that a reader can ask for again.
+const DEPTH: usize = 5;
+
+/// Longest name of a node, and longest of a topic with its namespace, in bytes.
+const LONGEST_NODE_NAME: usize = 255;
+const LONGEST_TOPIC_NAME: usize = 247;
+
+/// The topic on which participants say which nodes they have.
+const GRAPH_TOPIC: &str = "ros_discovery_info";
+
+/// What readers that come late get.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Durability {
+    /// What is published from then on.
+    Volatile,
+    /// The newest message too, as on `/tf_static`.
+    TransientLocal,
+}
+
+/// Why there is no node or publisher.
+#[derive(Debug, thiserror::Error)]
+pub enum NodeError {
+    /// A name that ROS does not take.
+    #[error("`{name}` is no name of a {what}: {cure}")]
+    Name {
+        /// What has the name.
+        what: &'static str,
+        /// The name.
+        name: String,
+        /// What it must be.
+        cure: String,
+    },
+    /// No sockets.
+    #[error("cannot enter ROS domain {domain}: {error}{}", hint(.error))]
+    Domain {
+        /// The domain.
+        domain: u16,
+        /// What the system says.
+        error: io::Error,
+    },
+}
+
+fn hint(error: &io::Error) -> &'static str {
+    match error.kind() {
+        io::ErrorKind::AddrInUse => {
+            "; all of its ports are taken: end a participant, or set ROS_DOMAIN_ID to another domain"
+        }
+        _ => "",
+    }
+}
+
+/// A node. When it is dropped, others see at once that it has gone.
+pub struct Node {
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    participant: Participant,
+    namespace: String,
+    name: String,
+    graph: WriterHandle,
+    /// What the graph says: our publishers, in the order of their making.
+    writers: Mutex<Vec<[u8; 16]>>,
+}
+
+impl Node {
+    /// Enters the domain as `namespace`/`name`, as `/` and `sweepd`.
+    ///
+    /// # Errors
+    /// Names that ROS does not take, or sockets that the system does not give.
+    pub fn new(environment: &Environment, namespace: &str, name: &str) -> Result<Self, NodeError> {
+        check_name(
+            "namespace",
+            namespace,
+            namespace == "/" || is_topic(namespace),
+        )?;
+        let is_node = name.len() <= LONGEST_NODE_NAME && is_token(name);
+        check_name("node", name, is_node)?;
+        let participant = Participant::new(environment, name, "/").map_err(|error| {
+            let domain = environment.domain;
+            NodeError::Domain { domain, error }
+        })?;
+        let graph_type = &message_type::PARTICIPANT_ENTITIES_INFO;
+        let graph = participant.add_writer(Offer {
+            topic: GRAPH_TOPIC.to_owned(),
+            type_name: graph_type.dds_name(),
+            type_hash: graph_type.hash,
+            transient_local: true,
+            depth: 1,
+        });
+        let inner = Inner {
+            participant,
+            namespace: namespace.to_owned(),
+            name: name.to_owned(),
+            graph,
+            writers: Mutex::default(),
+        };
+        inner.tell(&inner.writers());
+        Ok(Self {
+            inner: Arc::new(inner),
+        })
+    }
+
+    /// Offers messages: reliable, the last five of them, or one where late readers get it.
+    ///
+    /// A topic is `/absolute`, `~/below/the/node` or `below/the/namespace`.
+    ///
+    /// # Errors
+    /// A name that ROS does not take.
+    pub fn publisher(
+        &self,
+        topic: &str,
+        message_type: &'static MessageType,
+        durability: Durability,
+    ) -> Result<Publisher, NodeError> {
+        let name = self.inner.resolve(topic);
+        check_name("topic", topic, is_topic(&name))?;
+        let transient_local = durability == Durability::TransientLocal;
+        let writer = self.inner.participant.add_writer(Offer {
+            topic: format!("rt{name}"),
+            type_name: message_type.dds_name(),
+            type_hash: message_type.hash,
+            transient_local,
+            depth: if transient_local { 1 } else { DEPTH },
+        });
+        let mut writers = self.inner.writers();
+        writers.push(writer.guid.bytes());
+        self.inner.tell(&writers);
+        drop(writers);
+        Ok(Publisher {
+            node: Arc::clone(&self.inner),
+            writer,
+            topic: name,
+        })
+    }
+}
+
+impl Drop for Node {
+    fn drop(&mut self) {
+        self.inner.participant.leave();
+    }
+}
+
+impl Inner {
+    fn writers(&self) -> MutexGuard<'_, Vec<[u8; 16]>> {
+        self.writers.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Tells the graph which publishers there are.
+    fn tell(&self, writers: &[[u8; 16]]) {
+        let nodes = [graph::Node {
+            namespace: self.namespace.clone(),
+            name: self.name.clone(),
+            readers: vec![],
+            writers: writers.to_vec(),
+        }];
+        let encode = |form| {
+            let mut message = vec![];
+            let participant = self.participant.guid().bytes();
+            graph::encode(&participant, &nodes, form, &mut message);
+            padded(message)
+        };
+        let body = Body::ByReader {
+            since_iron: encode(GidForm::Bytes16),
+            before_iron: encode(GidForm::Bytes24),
+        };
+        self.participant.write(&self.graph, body);
+    }
+
+    fn resolve(&self, topic: &str) -> String {
+        let namespace = self.namespace.trim_end_matches('/');
+        match topic.strip_prefix('~') {
+            Some(below) => format!("{namespace}/{}{below}", self.name),
+            None if topic.starts_with('/') => topic.to_owned(),
+            None => format!("{namespace}/{topic}"),
+        }
+    }
+}
+
+/// A publisher of a node. When it is dropped, others see that it has gone.
+pub struct Publisher {
+    node: Arc<Inner>,
+    writer: WriterHandle,
+    topic: String,
+}
+
+/// What a publisher did.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Statistics {
+    /// Messages that went to someone.
+    pub messages: u64,
+    /// Messages or parts of them that were sent again, because a subscriber asked for them.
+    pub repairs: u64,
+    /// Who reads now.
+    pub subscribers: Vec<Subscriber>,
+}
+
+/// A subscriber of a publisher.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Subscriber {
+    /// Where its messages go. All subscribers of a process may share that.
+    pub address: SocketAddrV4,
+    /// Messages that it did not get whole, because its socket was full for too long.
+    pub lost_messages: u64,
+    /// Datagrams that its socket dropped since it was opened, from anyone; none where the kernel
+    /// does not say, as of another host.
+    pub dropped_datagrams: Option<u32>,
+}
+
+impl Publisher {
+    /// Its topic, as `/sweepd/roof/points`.
+    pub fn topic(&self) -> &str {
+        &self.topic
+    }
+
+    /// How many subscribers it has. This takes no lock.
+    pub fn readers(&self) -> usize {
+        self.writer.counters.readers.load(Ordering::Relaxed)
+    }
+
+    /// An empty vector for the next message: an old one of this publisher, where there is one.
+    pub fn buffer(&self) -> Vec<u8> {
+        self.node.participant.buffer(&self.writer)
+    }
+
+    /// Publishes a message: CDR, its encapsulation of 4 bytes included.
+    ///
+    /// Returns when all subscribers have it, or have lost it: one that makes us wait for more than
+    /// 40 ms loses this message, and those after it until its socket is free. Without subscribers
+    /// nothing is done, unless late ones are to get it.
+    pub fn publish(&self, message: Vec<u8>) {
+        let body = Body::Same(padded(message));
+        self.node.participant.write(&self.writer, body);
+    }
+
+    /// What it did, and for whom.
+    pub fn statistics(&self) -> Statistics {
+        let readers = self.node.participant.readers(&self.writer);
+        let subscribers = readers.into_iter().map(|(reader, memory)| Subscriber {
+            address: reader.place.address,
+            lost_messages: reader.skipped,
+            dropped_datagrams: memory.map(|memory| memory.drops),
+        });
+        Statistics {
+            messages: self.writer.counters.written.load(Ordering::Relaxed),
+            repairs: self.writer.counters.repaired.load(Ordering::Relaxed),
+            subscribers: subscribers.collect(),
+        }
+    }
+}
+
+impl Drop for Publisher {
+    fn drop(&mut self) {
+        self.node.participant.remove_writer(&self.writer);
+        let mut writers = self.node.writers();
+        let gone = self.writer.guid.bytes();
+        writers.retain(|writer| *writer != gone);
+        self.node.tell(&writers);
+    }
+}
+
+/// On the wire, a payload is a multiple of 4 bytes, and its options say how many were added.
+fn padded(mut message: Vec<u8>) -> Vec<u8> {
+    let length = message.len().next_multiple_of(4);
+    let added = length - message.len();
+    message.resize(length, 0);
+    if let Some(options) = message.get_mut(3) {
+        *options = *options & !3 | added as u8;
+    }
+    message
+}
+
+fn check_name(what: &'static str, name: &str, good: bool) -> Result<(), NodeError> {
+    if good {
+        return Ok(());
+    }
+    let cure = match what {
+        "node" => {
+            format!("give letters, digits and `_`, at most {LONGEST_NODE_NAME}, and no digit first")
+        }
+        _ => format!(
+            "give parts of letters, digits and `_` with a single `/` before each, at most \
+             {LONGEST_TOPIC_NAME} bytes in all, and no digit first in a part"
+        ),
+    };
+    let name = name.to_owned();
+    Err(NodeError::Name { what, name, cure })
+}
+
+/// Whether this is a part of a name.
+fn is_token(name: &str) -> bool {
+    let allowed = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'_';
+    !name.is_empty() && !name.as_bytes()[0].is_ascii_digit() && name.bytes().all(allowed)
+}
+
+/// Whether this is a whole name of a topic, or a namespace that is not the root.
+fn is_topic(name: &str) -> bool {
+    let parts = name.strip_prefix('/');
+    name.len() <= LONGEST_TOPIC_NAME && parts.is_some_and(|parts| parts.split('/').all(is_token))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_those_of_ros() {
+        for good in ["/points", "/a/b_2/_c", "/sweepd/roof/points"] {
+            assert!(is_topic(good), "{good}");
+        }
+        let long = format!("/{}", "a".repeat(247));
+        for bad in ["", "/", "points", "/a/", "//a", "/2a", "/a-b", "/ä", &long] {
+            assert!(!is_topic(bad), "{bad}");
+        }
+        assert!(is_token("sweepd_2") && !is_token("2d") && !is_token("a/b") && !is_token(""));
+    }
+
+    #[test]
+    fn padding_is_counted_in_the_options() {
+        assert_eq!(padded(vec![0, 1, 0, 0, 9]), [0, 1, 0, 3, 9, 0, 0, 0]);
+        assert_eq!(
+            padded(vec![0, 1, 0, 3, 9, 9, 9, 9]),
+            [0, 1, 0, 0, 9, 9, 9, 9]
+        );
+    }
+}

@@ -1,0 +1,379 @@
+//! Who else is in the domain, and what they read (sections 8.5 and 9.6): state without sockets.
+//!
+//! Participants say that they are there (SPDP), again and again; one that stays silent for its
+//! lease is forgotten. Each tells of its readers in numbered samples (SEDP), and sends again what
+//! we say that we miss. All that others can make us keep is bounded.
+
+use super::parameters;
+use super::wire::{self, EntityId, Fields, Guid, NumberSet, Prefix};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::time::{Duration, Instant};
+
+/// Participants that are known at a time.
+pub const MAX_PARTICIPANTS: usize = 256;
+
+/// Readers that are known at a time, of all participants.
+pub const MAX_READERS: usize = 4096;
+
+/// Places a participant or reader can be reached at.
+const MAX_LOCATORS: usize = 16;
+
+/// Samples ahead of the first that is missing.
+const WINDOW: u64 = 256;
+
+/// A lease may be infinite; a participant that is gone is forgotten all the same.
+const LONGEST_LEASE: Duration = Duration::from_secs(3600);
+
+/// The lease of who names none.
+const DEFAULT_LEASE: Duration = Duration::from_secs(100);
+
+/// Where a participant or reader gets its datagrams.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// The socket.
+    pub address: SocketAddrV4,
+    /// Whether that is of this host.
+    pub near: bool,
+}
+
+/// The addresses of this host, beside those of the loopback.
+pub type OwnAddresses = [Ipv4Addr];
+
+fn is_own(address: &Ipv4Addr, own: &OwnAddresses) -> bool {
+    address.is_loopback() || own.contains(address)
+}
+
+impl Place {
+    /// Chooses among the places that someone names, whose datagrams come from `source`.
+    ///
+    /// On this host the loopback goes before any other address. Of another host, its address in
+    /// the network that its datagrams come through is the one that surely works.
+    fn choose(locators: &[SocketAddrV4], source: Ipv4Addr, own: &OwnAddresses) -> Option<Self> {
+        let find = |wanted: &dyn Fn(&Ipv4Addr) -> bool| {
+            let found = locators.iter().find(|locator| wanted(locator.ip()));
+            found.copied()
+        };
+        if is_own(&source, own) {
+            let near = find(&Ipv4Addr::is_loopback)
+                .or_else(|| find(&|address| is_own(address, own)))
+                .map(|address| Self {
+                    address,
+                    near: true,
+                });
+            if near.is_some() {
+                return near;
+            }
+        }
+        find(&|address| *address == source)
+            .or_else(|| find(&|address| !is_own(address, own)))
+            .map(|address| Self {
+                address,
+                near: false,
+            })
+    }
+}
+
+/// What a participant says of itself.
+#[derive(Debug)]
+pub struct ParticipantData {
+    /// Where it hears of others.
+    pub meta: Place,
+    /// Where its readers hear, unless they name a place of their own.
+    user: Vec<SocketAddrV4>,
+    source: Ipv4Addr,
+    lease: Duration,
+}
+
+impl ParticipantData {
+    /// Reads it; none where it cannot be reached.
+    pub fn read(payload: &[u8], source: Ipv4Addr, own: &OwnAddresses) -> Option<Self> {
+        let (mut meta, mut user, mut lease) = (vec![], vec![], DEFAULT_LEASE);
+        for (parameter, value) in parameters::read(payload)? {
+            match parameter {
+                parameters::METATRAFFIC_LOCATOR => push_locator(&mut meta, value),
+                parameters::DEFAULT_LOCATOR => push_locator(&mut user, value),
+                parameters::PARTICIPANT_LEASE => {
+                    lease = Duration::from_secs(u64::from(value.u32(0)?)).min(LONGEST_LEASE);
+                }
+                _ => {}
+            }
+        }
+        Some(Self {
+            meta: Place::choose(&meta, source, own)?,
+            user,
+            source,
+            lease,
+        })
+    }
+}
+
+fn push_locator(locators: &mut Vec<SocketAddrV4>, value: Fields) {
+    if locators.len() < MAX_LOCATORS {
+        locators.extend(parameters::locator(value));
+    }
+}
+
+/// What a participant says of a reader of its.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ReaderData {
+    /// Which reader.
+    pub guid: Guid,
+    /// Its topic in DDS, as `rt/points`.
+    pub topic: String,
+    /// Its type in DDS, as `sensor_msgs::msg::dds_::PointCloud2_`.
+    pub type_name: String,
+    /// Whether it asks for all samples.
+    pub reliable: bool,
+    /// Whether it asks for samples from before it was there.
+    pub transient_local: bool,
+    /// Whether it names its type's hash, as ROS 2 does since Iron.
+    pub names_hash: bool,
+    /// Where it gets its datagrams.
+    pub place: Place,
+}
+
+impl ReaderData {
+    /// The reader that a participant has for our publications.
+    pub fn of_publications(prefix: Prefix, place: Place) -> Self {
+        Self {
+            guid: Guid {
+                prefix,
+                entity: wire::PUBLICATIONS_READER,
+            },
+            topic: String::new(),
+            type_name: String::new(),
+            reliable: true,
+            transient_local: true,
+            names_hash: false,
+            place,
+        }
+    }
+
+    fn read(payload: &[u8], participant: &ParticipantData, own: &OwnAddresses) -> Option<Self> {
+        let (mut guid, mut topic, mut type_name) = (None, None, None);
+        let (mut reliable, mut transient_local, mut names_hash) = (false, false, false);
+        let mut locators = vec![];
+        for (parameter, value) in parameters::read(payload)? {
+            match parameter {
+                parameters::ENDPOINT_GUID => guid = Guid::read(value.bytes),
+                parameters::TOPIC_NAME => topic = parameters::name(value),
+                parameters::TYPE_NAME => type_name = parameters::name(value),
+                parameters::RELIABILITY => reliable = value.u32(0)? == 2,
+                parameters::DURABILITY => transient_local = value.u32(0)? >= 1,
+                parameters::USER_DATA => {
+                    names_hash = parameters::user_data_has(value, b"typehash=");
+                }
+                parameters::UNICAST_LOCATOR => push_locator(&mut locators, value),
+                _ => {}
+            }
+        }
+        let locators = if locators.is_empty() {
+            &participant.user
+        } else {
+            &locators
+        };
+        Some(Self {
+            guid: guid?,
+            topic: topic?,
+            type_name: type_name?,
+            reliable,
+            transient_local,
+            names_hash,
+            place: Place::choose(locators, participant.source, own)?,
+        })
+    }
+}
+
+/// Which samples of a writer are there.
+#[derive(Debug)]
+struct Received {
+    /// The first that is missing.
+    next: u64,
+    /// Those behind it, at most [`WINDOW`] ahead.
+    ahead: BTreeSet<u64>,
+}
+
+impl Received {
+    fn new() -> Self {
+        Self {
+            next: 1,
+            ahead: BTreeSet::new(),
+        }
+    }
+
+    /// Whether the sample is new, and near enough to be kept in mind.
+    fn insert(&mut self, number: u64) -> bool {
+        let wanted = number >= self.next && number - self.next < WINDOW;
+        let new = wanted && self.ahead.insert(number);
+        self.advance();
+        new
+    }
+
+    /// No sample before `number` will come any more.
+    fn skip_to(&mut self, number: u64) {
+        if number > self.next {
+            self.next = number;
+            self.ahead = self.ahead.split_off(&number);
+        }
+        self.advance();
+    }
+
+    fn advance(&mut self) {
+        while self.ahead.remove(&self.next) {
+            self.next += 1;
+        }
+    }
+
+    fn missing(&self, last: u64) -> NumberSet {
+        let mut missing = NumberSet::new(self.next);
+        for number in self.next..=last.min(self.next + WINDOW - 1) {
+            if !self.ahead.contains(&number) {
+                missing.insert(number);
+            }
+        }
+        missing
+    }
+}
+
+struct Participant {
+    data: ParticipantData,
+    heard: Instant,
+    subscriptions: Received,
+    readers: BTreeMap<EntityId, ReaderData>,
+}
+
+/// All that is known of others.
+#[derive(Default)]
+pub struct Discovery {
+    participants: HashMap<Prefix, Participant>,
+    readers: usize,
+}
+
+impl Discovery {
+    /// A participant says that it is there; whether that is news, or it is at another
+    /// place now.
+    pub fn participant(&mut self, prefix: Prefix, data: ParticipantData, now: Instant) -> bool {
+        if let Some(known) = self.participants.get_mut(&prefix) {
+            let moved = known.data.meta != data.meta;
+            known.data = data;
+            known.heard = now;
+            return moved;
+        }
+        if self.participants.len() == MAX_PARTICIPANTS {
+            return false;
+        }
+        let participant = Participant {
+            data,
+            heard: now,
+            subscriptions: Received::new(),
+            readers: BTreeMap::new(),
+        };
+        self.participants.insert(prefix, participant);
+        true
+    }
+
+    /// A participant has gone, or was never there.
+    pub fn forget(&mut self, prefix: Prefix) {
+        if let Some(gone) = self.participants.remove(&prefix) {
+            self.readers -= gone.readers.len();
+        }
+    }
+
+    /// Forgets those that stay silent, and names them.
+    pub fn expire(&mut self, now: Instant) -> Vec<Prefix> {
+        let silent = |participant: &Participant| {
+            now.saturating_duration_since(participant.heard) > participant.data.lease
+        };
+        let gone: Vec<Prefix> = self
+            .participants
+            .iter()
+            .filter(|(_, participant)| silent(participant))
+            .map(|(prefix, _)| *prefix)
+            .collect();
+        for prefix in &gone {
+            self.forget(*prefix);
+        }
+        gone
+    }
+
+    /// A participant has something new to say of a reader: the reader, where it is one.
+    pub fn subscription(
+        &mut self,
+        prefix: Prefix,
+        number: u64,
+        payload: &[u8],
+        own: &OwnAddresses,
+    ) -> Option<&ReaderData> {
+        let participant = self.participants.get_mut(&prefix)?;
+        if !participant.subscriptions.insert(number) {
+            return None;
+        }
+        let reader = ReaderData::read(payload, &participant.data, own)?;
+        let entity = reader.guid.entity;
+        let known = participant.readers.contains_key(&entity);
+        if reader.guid.prefix != prefix || (!known && self.readers == MAX_READERS) {
+            return None;
+        }
+        self.readers += usize::from(!known);
+        participant.readers.insert(entity, reader);
+        participant.readers.get(&entity)
+    }
+
+    /// A participant says that a reader is no more.
+    pub fn subscription_ended(&mut self, prefix: Prefix, number: u64, guid: Option<Guid>) {
+        let Some(participant) = self.participants.get_mut(&prefix) else {
+            return;
+        };
+        participant.subscriptions.insert(number);
+        let ended = guid.and_then(|guid| participant.readers.remove(&guid.entity));
+        self.readers -= usize::from(ended.is_some());
+    }
+
+    /// A participant says which samples of its subscriptions there are: what we miss, and where to
+    /// say so.
+    pub fn subscriptions(
+        &mut self,
+        prefix: Prefix,
+        first: u64,
+        last: u64,
+    ) -> Option<(NumberSet, Place)> {
+        let participant = self.participants.get_mut(&prefix)?;
+        participant.subscriptions.skip_to(first);
+        let missing = participant.subscriptions.missing(last);
+        Some((missing, participant.data.meta))
+    }
+
+    /// A participant says which samples of its subscriptions will never come.
+    pub fn subscriptions_gap(&mut self, prefix: Prefix, first: u64, more: &NumberSet) {
+        let Some(participant) = self.participants.get_mut(&prefix) else {
+            return;
+        };
+        let received = &mut participant.subscriptions;
+        if first <= received.next {
+            received.skip_to(more.base);
+        } else {
+            // One that begins later is asked about again, from the first that is missing on.
+            for number in first..more.base.min(received.next + WINDOW) {
+                received.insert(number);
+            }
+        }
+        for number in more.iter() {
+            received.insert(number);
+        }
+    }
+
+    /// All readers.
+    pub fn readers(&self) -> impl Iterator<Item = &ReaderData> {
+        self.participants
+            .values()
+            .flat_map(|participant| participant.readers.values())
+    }
+
+    /// Where participants hear of others.
+    pub fn places(&self) -> impl Iterator<Item = Place> + '_ {
+        self.participants
+            .values()
+            .map(|participant| participant.data.meta)
+    }
+}

@@ -1,0 +1,693 @@
+//! The participant: sockets, state, and two threads.
+//!
+//! One thread receives, and sends what is small; another repairs. Samples leave in the thread that
+//! writes them. The state is locked for moments only, and never while something is sent.
+
+use super::discovery::{Discovery, ParticipantData, ReaderData};
+use super::flow::{self, Delivery, Link, SocketMemory, Step, Transport, lock};
+use super::parameters::{self, ParameterList};
+use super::sockets::Sockets;
+use super::sys;
+use super::wire::{self, EntityId, Guid, Message, Prefix, Route, Submessage};
+use super::writer::{Body, Counters, Match, Offer, Outbox, ReaderCount, Writer};
+use crate::environment::{DiscoveryRange, Environment};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
+use std::io::{self, Read};
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+/// How long others may hear nothing of us before they forget us.
+const LEASE_SECONDS: u32 = 20;
+
+/// How often we say that we are there: soon and often at first, so that others find us at once.
+const FIRST_ANNOUNCEMENTS: Duration = Duration::from_millis(250);
+const ANNOUNCEMENTS: Duration = Duration::from_secs(3);
+const AT_FIRST: Duration = Duration::from_secs(3);
+
+/// Longest wait for a datagram: heartbeats are due within.
+const TICK: Duration = Duration::from_millis(50);
+
+/// Datagrams that are taken before other work.
+const BATCH: usize = 64;
+
+/// Repairs that wait or are on their way. Readers ask again for those that find no room.
+const MAX_REPAIRS: usize = 256;
+
+/// Disposals that are kept for others to hear of.
+const DISPOSALS: usize = 32;
+
+/// Readers whose demands were told of once.
+const MAX_WARNINGS: usize = 64;
+
+/// The builtin endpoints that we have: writer and reader of participants, writer of publications,
+/// reader of subscriptions.
+const BUILTIN_ENDPOINTS: u32 = 1 | 1 << 1 | 1 << 2 | 1 << 5;
+
+struct State {
+    discovery: Discovery,
+    /// Our writers; the first tells of the others.
+    writers: BTreeMap<EntityId, (Option<Offer>, Writer)>,
+    links: BTreeMap<SocketAddrV4, Arc<Link>>,
+    /// The addresses of this host.
+    addresses: Vec<Ipv4Addr>,
+    warned: BTreeSet<Guid>,
+    entities: u32,
+    acknacks: u32,
+}
+
+struct Shared {
+    prefix: Prefix,
+    environment: Environment,
+    name: String,
+    enclave: String,
+    transport: Transport,
+    state: Mutex<State>,
+    closed: AtomicBool,
+}
+
+/// A participant; others are told when it is dropped.
+pub struct Participant {
+    shared: Arc<Shared>,
+    threads: Mutex<Vec<JoinHandle<()>>>,
+}
+
+/// A writer of a participant, seen from outside.
+#[derive(Clone)]
+pub struct WriterHandle {
+    /// Which it is.
+    pub guid: Guid,
+    /// What it did.
+    pub counters: Arc<Counters>,
+    turn: Arc<Mutex<()>>,
+}
+
+/// A GUID prefix that no other participant has.
+fn random_prefix() -> io::Result<Prefix> {
+    let mut prefix = [0; 12];
+    // The first two bytes name a vendor.
+    File::open("/dev/urandom")?.read_exact(&mut prefix[2..])?;
+    Ok(prefix)
+}
+
+impl Participant {
+    /// Enters the domain.
+    ///
+    /// # Errors
+    /// What the system says of sockets and threads.
+    pub fn new(environment: &Environment, name: &str, enclave: &str) -> io::Result<Self> {
+        let prefix = random_prefix()?;
+        let transport = Transport::new(Sockets::open(environment)?);
+        let publications = Guid {
+            prefix,
+            entity: wire::PUBLICATIONS_WRITER,
+        };
+        let publications = (None, Writer::new(publications, true, usize::MAX));
+        let state = State {
+            discovery: Discovery::default(),
+            writers: BTreeMap::from([(wire::PUBLICATIONS_WRITER, publications)]),
+            links: BTreeMap::new(),
+            addresses: sys::addresses()?,
+            warned: BTreeSet::new(),
+            entities: 0,
+            acknacks: 0,
+        };
+        let shared = Arc::new(Shared {
+            prefix,
+            environment: environment.clone(),
+            name: name.to_owned(),
+            enclave: enclave.to_owned(),
+            transport,
+            state: Mutex::new(state),
+            closed: AtomicBool::new(false),
+        });
+        let (to_repair, repairs) = sync_channel(MAX_REPAIRS);
+        let participant = Self {
+            shared: Arc::clone(&shared),
+            threads: Mutex::default(),
+        };
+        let receiving = {
+            let shared = Arc::clone(&shared);
+            thread::Builder::new()
+                .name("rtps".into())
+                .spawn(move || shared.serve(&to_repair))?
+        };
+        lock(&participant.threads).push(receiving);
+        let repairing = thread::Builder::new()
+            .name("rtps-repair".into())
+            .spawn(move || shared.repair(&repairs))?;
+        lock(&participant.threads).push(repairing);
+        Ok(participant)
+    }
+
+    /// Which participant it is.
+    pub fn guid(&self) -> Guid {
+        self.shared.guid(wire::PARTICIPANT)
+    }
+
+    /// Adds a writer, and tells others of it.
+    pub fn add_writer(&self, offer: Offer) -> WriterHandle {
+        let mut out = Outbox::default();
+        let mut state = lock(&self.shared.state);
+        state.entities += 1;
+        let [_, high, middle, low] = state.entities.to_be_bytes();
+        // Kind 3: a writer of ours, without key.
+        let guid = self.shared.guid([high, middle, low, 3]);
+        let mut writer = Writer::new(guid, offer.transient_local, offer.depth);
+        let handle = WriterHandle {
+            guid,
+            counters: Arc::clone(&writer.counters),
+            turn: Arc::clone(&writer.turn),
+        };
+        let State {
+            discovery,
+            links,
+            warned,
+            ..
+        } = &mut *state;
+        for reader in discovery.readers() {
+            match_reader(&offer, &mut writer, reader, links, warned, &mut out);
+        }
+        let publication = publication(guid, self.guid(), &offer);
+        state.writers.insert(guid.entity, (Some(offer), writer));
+        drop(state);
+        self.shared.send_messages(out.messages);
+        self.shared.tell(Body::Same(publication));
+        handle
+    }
+
+    /// Takes a writer away, and tells others.
+    pub fn remove_writer(&self, writer: &WriterHandle) {
+        let mut state = lock(&self.shared.state);
+        state.writers.remove(&writer.guid.entity);
+        if let Some((_, publications)) = state.writers.get_mut(&wire::PUBLICATIONS_WRITER) {
+            publications.withdraw(|sample| {
+                parameters::guid(sample.payload(true), parameters::ENDPOINT_GUID)
+                    == Some(writer.guid)
+            });
+            publications.keep_ends(DISPOSALS);
+        }
+        drop(state);
+        let mut key = ParameterList::new();
+        key.put(parameters::ENDPOINT_GUID, &writer.guid.bytes());
+        self.shared.tell(Body::End(writer.guid, key.end()));
+    }
+
+    /// Writes a sample: returns when each reader has it, or has lost it.
+    pub fn write(&self, writer: &WriterHandle, body: Body) {
+        self.shared.write(writer, body);
+    }
+
+    /// A buffer to write a sample of that writer into.
+    pub fn buffer(&self, writer: &WriterHandle) -> Vec<u8> {
+        let mut state = lock(&self.shared.state);
+        let writer = state.writers.get_mut(&writer.guid.entity);
+        writer.map_or_else(Vec::new, |(_, writer)| writer.buffer())
+    }
+
+    /// The readers of a writer, and how full their sockets are where the kernel says.
+    pub fn readers(&self, writer: &WriterHandle) -> Vec<(ReaderCount, Option<SocketMemory>)> {
+        let state = lock(&self.shared.state);
+        let writer = state.writers.get(&writer.guid.entity);
+        let counts = writer.map_or_else(Vec::new, |(_, writer)| writer.reader_counts());
+        drop(state);
+        let transport = &self.shared.transport;
+        let with_memory = |count: ReaderCount| (count, transport.memory(count.place));
+        counts.into_iter().map(with_memory).collect()
+    }
+
+    /// Tells others that we are no more, and hears no one from then on.
+    pub fn leave(&self) {
+        if self.shared.closed.swap(true, Ordering::Relaxed) {
+            return;
+        }
+        // The receiving thread sees it within a tick; the other when that one has gone.
+        for thread in lock(&self.threads).drain(..) {
+            // One that panicked has said so itself.
+            let _ = thread.join();
+        }
+        self.shared.say_good_bye();
+        let mut state = lock(&self.shared.state);
+        for (_, writer) in state.writers.values_mut() {
+            writer.remove_readers(|_| true);
+        }
+    }
+}
+
+impl Drop for Participant {
+    fn drop(&mut self) {
+        self.leave();
+    }
+}
+
+/// What others are told of a writer. Where to reach it they know: where its participant is.
+fn publication(guid: Guid, participant: Guid, offer: &Offer) -> Vec<u8> {
+    const RELIABLE: u32 = 2;
+    const KEEP_LAST: u32 = 0;
+    const AUTOMATIC: u32 = 0;
+    const INFINITE: [u32; 2] = [0x7fff_ffff, 0xffff_ffff];
+    let mut list = ParameterList::new();
+    list.put(parameters::ENDPOINT_GUID, &guid.bytes());
+    list.put(parameters::PARTICIPANT_GUID, &participant.bytes());
+    list.string(parameters::TOPIC_NAME, &offer.topic);
+    list.string(parameters::TYPE_NAME, &offer.type_name);
+    list.put(parameters::PROTOCOL_VERSION, &[2, 3]);
+    list.put(parameters::VENDOR_ID, &[0, 0]);
+    // With the longest time to block, 0.1 s by default, which no write of ours does.
+    list.numbers(parameters::RELIABILITY, &[RELIABLE, 0, 0x1999_9999]);
+    list.numbers(parameters::DURABILITY, &[u32::from(offer.transient_local)]);
+    list.numbers(parameters::HISTORY, &[KEEP_LAST, offer.depth as u32]);
+    list.numbers(
+        parameters::LIVELINESS,
+        &[AUTOMATIC, INFINITE[0], INFINITE[1]],
+    );
+    let hash = format!("typehash={};", offer.type_hash);
+    list.octets(parameters::USER_DATA, hash.as_bytes());
+    list.end()
+}
+
+/// Gives a reader to a writer that it matches. One that asks for more than is offered is told of.
+fn match_reader(
+    offer: &Offer,
+    writer: &mut Writer,
+    reader: &ReaderData,
+    links: &mut BTreeMap<SocketAddrV4, Arc<Link>>,
+    warned: &mut BTreeSet<Guid>,
+    out: &mut Outbox,
+) {
+    match offer.matches(reader) {
+        Match::No => {}
+        Match::Yes => {
+            let link = links
+                .entry(reader.place.address)
+                .or_insert_with(|| Arc::new(Link::new(reader.place)));
+            writer.add_reader(reader, Arc::clone(link), Instant::now(), out);
+        }
+        Match::AsksMore => {
+            if warned.len() < MAX_WARNINGS && warned.insert(reader.guid) {
+                eprintln!(
+                    "a subscriber of {} at {} asks for samples from before it was there (durability \
+                     transient local), which this topic does not offer: it gets nothing until it \
+                     asks for volatile",
+                    offer.topic, reader.place.address
+                );
+            }
+        }
+    }
+}
+
+impl Shared {
+    fn guid(&self, entity: EntityId) -> Guid {
+        Guid {
+            prefix: self.prefix,
+            entity,
+        }
+    }
+
+    /// Writes to those that want to know of our writers.
+    fn tell(&self, body: Body) {
+        let guid = self.guid(wire::PUBLICATIONS_WRITER);
+        let turn = match lock(&self.state).writers.get(&guid.entity) {
+            Some((_, writer)) => Arc::clone(&writer.turn),
+            None => return,
+        };
+        let handle = WriterHandle {
+            guid,
+            counters: Arc::default(),
+            turn,
+        };
+        self.write(&handle, body);
+    }
+
+    fn write(&self, writer: &WriterHandle, body: Body) {
+        let _turn = lock(&writer.turn);
+        let begun = match lock(&self.state).writers.get_mut(&writer.guid.entity) {
+            Some((_, writer)) => writer.begin(body),
+            None => None,
+        };
+        let Some(mut deliveries) = begun else {
+            return;
+        };
+        let mut ended = vec![];
+        while !deliveries.is_empty() {
+            ended.extend(flow::turn(&mut deliveries, &self.transport));
+        }
+        if let Some((_, writer)) = lock(&self.state).writers.get_mut(&writer.guid.entity) {
+            writer.finish(ended, Instant::now());
+        }
+    }
+
+    /// The repairing thread: ends when the receiving one does.
+    fn repair(&self, repairs: &Receiver<Delivery>) {
+        let mut under_way: Vec<Delivery> = vec![];
+        loop {
+            if under_way.is_empty() {
+                match repairs.recv() {
+                    Ok(repair) => under_way.push(repair),
+                    Err(_) => return,
+                }
+            }
+            while under_way.len() < MAX_REPAIRS {
+                let Ok(repair) = repairs.try_recv() else {
+                    break;
+                };
+                // A reader that asks again before it is served gets it once.
+                if !under_way.iter().any(|other| other.is_same(&repair)) {
+                    under_way.push(repair);
+                }
+            }
+            for (repair, step) in flow::turn(&mut under_way, &self.transport) {
+                let state = lock(&self.state);
+                if let Some((_, writer)) = state.writers.get(&repair.writer)
+                    && step == Step::Done
+                {
+                    writer.counters.repaired.fetch_add(1, Ordering::Relaxed);
+                }
+            }
+        }
+    }
+
+    /// The receiving thread.
+    fn serve(&self, to_repair: &SyncSender<Delivery>) {
+        let mut buffer = vec![0; 65_536];
+        let start = Instant::now();
+        let mut next_announcement = start;
+        let mut next_tick = start;
+        while !self.closed.load(Ordering::Relaxed) {
+            let now = Instant::now();
+            if now >= next_announcement {
+                self.announce();
+                next_announcement = now
+                    + if now.duration_since(start) < AT_FIRST {
+                        FIRST_ANNOUNCEMENTS
+                    } else {
+                        ANNOUNCEMENTS
+                    };
+            }
+            let mut out = Outbox::default();
+            if now >= next_tick {
+                self.tick(now, &mut out);
+                next_tick = now + TICK;
+            }
+            for _ in 0..BATCH {
+                let Some((datagram, source)) = self.transport.sockets.receive(&mut buffer) else {
+                    break;
+                };
+                self.receive(datagram, source, &mut out);
+            }
+            let idle = out.messages.is_empty() && out.repairs.is_empty();
+            self.send_messages(out.messages);
+            for repair in out.repairs {
+                // Where there is no room, the reader asks again.
+                let _ = to_repair.try_send(repair);
+            }
+            if idle {
+                self.transport.sockets.wait(TICK);
+            }
+        }
+    }
+
+    fn send_messages(&self, messages: Vec<(SocketAddrV4, Message)>) {
+        for (to, message) in messages {
+            self.transport.sockets.send(message.bytes(), to);
+        }
+    }
+
+    fn tick(&self, now: Instant, out: &mut Outbox) {
+        let mut state = lock(&self.state);
+        for prefix in state.discovery.expire(now) {
+            state.forget(prefix);
+        }
+        for (_, writer) in state.writers.values_mut() {
+            writer.tick(now, out);
+        }
+    }
+
+    /// Says that we are there, to all that may be there. The interfaces are looked at anew.
+    fn announce(&self) {
+        let range = self.environment.range;
+        if range == DiscoveryRange::Off {
+            return;
+        }
+        if let Ok(addresses) = sys::addresses() {
+            lock(&self.state).addresses = addresses;
+        }
+        let addresses = lock(&self.state).addresses.clone();
+        let sockets = &self.transport.sockets;
+        sockets.join(&addresses);
+        let message = self.announcement(&addresses);
+        sockets.send_to_group(message.bytes(), &addresses);
+        sockets.send_to_host(message.bytes(), Ipv4Addr::LOCALHOST);
+        for peer in &self.environment.static_peers {
+            sockets.send_to_host(message.bytes(), *peer);
+        }
+    }
+
+    fn announcement(&self, addresses: &[Ipv4Addr]) -> Message {
+        let mut list = ParameterList::new();
+        list.put(parameters::PROTOCOL_VERSION, &[2, 3]);
+        list.put(parameters::VENDOR_ID, &[0, 0]);
+        list.put(
+            parameters::PARTICIPANT_GUID,
+            &self.guid(wire::PARTICIPANT).bytes(),
+        );
+        for place in self.transport.sockets.places(&self.environment, addresses) {
+            list.locator(parameters::METATRAFFIC_LOCATOR, place);
+            list.locator(parameters::DEFAULT_LOCATOR, place);
+        }
+        list.numbers(parameters::PARTICIPANT_LEASE, &[LEASE_SECONDS, 0]);
+        list.numbers(parameters::BUILTIN_ENDPOINTS, &[BUILTIN_ENDPOINTS]);
+        let enclave = format!("enclave={};", self.enclave);
+        list.octets(parameters::USER_DATA, enclave.as_bytes());
+        list.string(parameters::ENTITY_NAME, &self.name);
+        let payload = list.end();
+        let mut message = Message::new(self.prefix);
+        message.timestamp(wire::now());
+        message.data(self.participant_route(1), payload.len());
+        message.payload(&payload);
+        message
+    }
+
+    fn participant_route(&self, number: u64) -> Route {
+        Route {
+            reader: wire::PARTICIPANTS_READER,
+            writer: wire::PARTICIPANTS_WRITER,
+            number,
+        }
+    }
+
+    fn say_good_bye(&self) {
+        let guid = self.guid(wire::PARTICIPANT);
+        let mut key = ParameterList::new();
+        key.put(parameters::PARTICIPANT_GUID, &guid.bytes());
+        let payload = key.end();
+        let mut message = Message::new(self.prefix);
+        message.timestamp(wire::now());
+        message.disposal(self.participant_route(2), guid, payload.len());
+        message.payload(&payload);
+        let state = lock(&self.state);
+        let sockets = &self.transport.sockets;
+        for place in state.discovery.places() {
+            sockets.send(message.bytes(), place.address);
+        }
+        if self.environment.range != DiscoveryRange::Off {
+            sockets.send_to_group(message.bytes(), &state.addresses);
+        }
+    }
+
+    /// Whether we speak with who sends from there.
+    fn hears(&self, source: Ipv4Addr, addresses: &[Ipv4Addr]) -> bool {
+        match self.environment.range {
+            DiscoveryRange::Off => false,
+            DiscoveryRange::Subnet => true,
+            DiscoveryRange::Localhost => {
+                source.is_loopback()
+                    || addresses.contains(&source)
+                    || self.environment.static_peers.contains(&source)
+            }
+        }
+    }
+
+    fn receive(&self, datagram: &[u8], source: Ipv4Addr, out: &mut Outbox) {
+        let mut state = lock(&self.state);
+        if !self.hears(source, &state.addresses) {
+            return;
+        }
+        let Some(submessages) = wire::read(datagram, self.prefix) else {
+            return;
+        };
+        let prefix = submessages.source;
+        for submessage in submessages {
+            self.take(&mut state, prefix, source, submessage, out);
+        }
+    }
+
+    fn take(
+        &self,
+        state: &mut State,
+        prefix: Prefix,
+        source: Ipv4Addr,
+        submessage: Submessage,
+        out: &mut Outbox,
+    ) {
+        let now = Instant::now();
+        match submessage {
+            Submessage::Data {
+                writer: wire::PARTICIPANTS_WRITER,
+                disposed: true,
+                ..
+            } => {
+                state.discovery.forget(prefix);
+                state.forget(prefix);
+            }
+            Submessage::Data {
+                writer: wire::PARTICIPANTS_WRITER,
+                payload,
+                ..
+            } => {
+                if let Some(data) = ParticipantData::read(payload, source, &state.addresses) {
+                    self.meet(state, prefix, data, out);
+                }
+            }
+            Submessage::Data {
+                writer: wire::SUBSCRIPTIONS_WRITER,
+                number,
+                key,
+                disposed: true,
+                payload,
+            } => {
+                let key = key.or_else(|| parameters::guid(payload, parameters::ENDPOINT_GUID));
+                let key = key.filter(|key| key.prefix == prefix);
+                state.discovery.subscription_ended(prefix, number, key);
+                for (_, writer) in state.writers.values_mut() {
+                    writer.remove_readers(|guid| Some(guid) == key);
+                }
+                state.drop_unused_links();
+            }
+            Submessage::Data {
+                writer: wire::SUBSCRIPTIONS_WRITER,
+                number,
+                payload,
+                ..
+            } => state.subscription(prefix, number, payload, out),
+            Submessage::Heartbeat {
+                writer: wire::SUBSCRIPTIONS_WRITER,
+                first,
+                last,
+            } => {
+                if let Some((missing, place)) = state.discovery.subscriptions(prefix, first, last) {
+                    let message = self.acknack(state, prefix, &missing);
+                    out.messages.push((place.address, message));
+                }
+            }
+            Submessage::Gap {
+                writer: wire::SUBSCRIPTIONS_WRITER,
+                first,
+                more,
+            } => state.discovery.subscriptions_gap(prefix, first, &more),
+            Submessage::AckNack {
+                reader,
+                writer,
+                missing,
+            } => {
+                let from = Guid {
+                    prefix,
+                    entity: reader,
+                };
+                if let Some((_, writer)) = state.writers.get_mut(&writer) {
+                    writer.acknack(from, &missing, now, out);
+                }
+            }
+            Submessage::NackFragment {
+                reader,
+                writer,
+                number,
+                missing,
+            } => {
+                let from = Guid {
+                    prefix,
+                    entity: reader,
+                };
+                if let Some((_, writer)) = state.writers.get_mut(&writer) {
+                    writer.nack_fragment(from, number, missing, out);
+                }
+            }
+            Submessage::Data { .. } | Submessage::Heartbeat { .. } | Submessage::Gap { .. } => {}
+        }
+    }
+
+    fn acknack(&self, state: &mut State, to: Prefix, missing: &wire::NumberSet) -> Message {
+        // One count for all, so that it goes on for one that was forgotten and comes back.
+        state.acknacks = state.acknacks.wrapping_add(1);
+        let mut message = Message::to(self.prefix, to);
+        message.acknack(
+            wire::SUBSCRIPTIONS_READER,
+            wire::SUBSCRIPTIONS_WRITER,
+            missing,
+            state.acknacks,
+        );
+        message
+    }
+
+    /// Answers a participant that says that it is there: that we are too, which writers we have,
+    /// and that we have heard of no reader of its yet.
+    fn meet(&self, state: &mut State, prefix: Prefix, data: ParticipantData, out: &mut Outbox) {
+        let place = data.meta;
+        if !state.discovery.participant(prefix, data, Instant::now()) {
+            return;
+        }
+        let announcement = self.announcement(&state.addresses);
+        out.messages.push((place.address, announcement));
+        let nothing = wire::NumberSet::new(1);
+        let acknack = self.acknack(state, prefix, &nothing);
+        out.messages.push((place.address, acknack));
+        let reader = ReaderData::of_publications(prefix, place);
+        let link = Arc::clone(
+            state
+                .links
+                .entry(place.address)
+                .or_insert_with(|| Arc::new(Link::new(place))),
+        );
+        if let Some((_, publications)) = state.writers.get_mut(&wire::PUBLICATIONS_WRITER) {
+            publications.remove_readers(|guid| guid == reader.guid);
+            publications.add_reader(&reader, link, Instant::now(), out);
+        }
+    }
+}
+
+impl State {
+    fn forget(&mut self, prefix: Prefix) {
+        for (_, writer) in self.writers.values_mut() {
+            writer.remove_readers(|guid| guid.prefix == prefix);
+        }
+        self.warned.retain(|guid| guid.prefix != prefix);
+        self.drop_unused_links();
+    }
+
+    fn drop_unused_links(&mut self) {
+        self.links.retain(|_, link| Arc::strong_count(link) > 1);
+    }
+
+    fn subscription(&mut self, prefix: Prefix, number: u64, payload: &[u8], out: &mut Outbox) {
+        let Self {
+            discovery,
+            writers,
+            links,
+            addresses,
+            warned,
+            ..
+        } = self;
+        let Some(reader) = discovery.subscription(prefix, number, payload, addresses) else {
+            return;
+        };
+        for (offer, writer) in writers.values_mut() {
+            if let Some(offer) = offer {
+                match_reader(offer, writer, reader, links, warned, out);
+            }
+        }
+    }
+}

@@ -1,0 +1,181 @@
+//! The sockets of a participant, and where datagrams go that are for anyone.
+
+use super::discovery::Place;
+use super::sys;
+use crate::environment::{DiscoveryRange, Environment};
+use socket2::{Domain, Protocol, SockAddr, Socket, Type};
+use std::io::{self, IoSlice};
+use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
+use std::os::fd::AsFd;
+use std::time::Duration;
+
+/// Group in which participants say that they are there.
+const GROUP: Ipv4Addr = Ipv4Addr::new(239, 255, 0, 1);
+
+/// Participants of a host that are looked for by their ports, as those of ROS do.
+const PARTICIPANTS_LOOKED_FOR: u16 = 32;
+
+/// Participants of a host that there are ports for.
+const PARTICIPANTS: u16 = 120;
+
+/// Buffers asked of the kernel, in bytes; it may give less.
+const BUFFER_BYTES: usize = 4 << 20;
+
+/// Places that we name: Fast DDS takes four of a participant.
+const PLACES_NAMED: usize = 4;
+
+/// The sockets. No call on them waits, but [`Sockets::wait`].
+pub struct Sockets {
+    /// All that is for us alone comes here, and all but samples for other hosts leaves here.
+    unicast: UdpSocket,
+    /// What is for all participants comes here.
+    multicast: UdpSocket,
+    /// Samples for other hosts: what waits here for a network delays nothing on this host.
+    far: Socket,
+    /// Of the domain's ports, the first.
+    base_port: u16,
+    /// Of our own: where others reach us.
+    port: u16,
+}
+
+fn open(port: u16, shared: bool) -> io::Result<Socket> {
+    let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
+    socket.set_nonblocking(true)?;
+    if shared {
+        // Two options: other DDS set one or the other, and the kernel wants the same of all.
+        socket.set_reuse_address(true)?;
+        socket.set_reuse_port(true)?;
+    }
+    socket.set_recv_buffer_size(BUFFER_BYTES)?;
+    socket.set_send_buffer_size(BUFFER_BYTES)?;
+    socket.bind(&SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, port).into())?;
+    Ok(socket)
+}
+
+impl Sockets {
+    /// Opens them, at the first free port of the domain.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn open(environment: &Environment) -> io::Result<Self> {
+        let base_port = 7400 + 250 * environment.domain;
+        let unicast = (0..PARTICIPANTS)
+            .filter_map(|index| base_port.checked_add(10 + 2 * index))
+            .find_map(|port| open(port, false).ok().map(|socket| (socket, port)));
+        let (unicast, port) = unicast.ok_or(io::ErrorKind::AddrInUse)?;
+        // What stays on this host has no step to go.
+        let steps = match environment.range {
+            DiscoveryRange::Subnet => 1,
+            DiscoveryRange::Localhost | DiscoveryRange::Off => 0,
+        };
+        unicast.set_multicast_ttl_v4(steps)?;
+        unicast.set_multicast_loop_v4(true)?;
+        Ok(Self {
+            unicast: unicast.into(),
+            multicast: open(base_port, true)?.into(),
+            far: open(0, false)?,
+            base_port,
+            port,
+        })
+    }
+
+    /// Where others on this host reach us.
+    pub fn own(&self) -> SocketAddrV4 {
+        SocketAddrV4::new(Ipv4Addr::LOCALHOST, self.port)
+    }
+
+    /// The places that others are told of: one on this host, and, where others are to hear of
+    /// us, that which the kernel would use itself, and further ones.
+    pub fn places(&self, environment: &Environment, addresses: &[Ipv4Addr]) -> Vec<SocketAddrV4> {
+        let mut named = vec![Ipv4Addr::LOCALHOST];
+        let elsewhere =
+            environment.range == DiscoveryRange::Subnet || !environment.static_peers.is_empty();
+        if elsewhere {
+            named.extend(self.usual_address());
+            named.extend(addresses.iter().filter(|address| !address.is_loopback()));
+        }
+        let mut places: Vec<SocketAddrV4> = vec![];
+        for address in named {
+            let place = SocketAddrV4::new(address, self.port);
+            if places.len() < PLACES_NAMED && !places.contains(&place) {
+                places.push(place);
+            }
+        }
+        places
+    }
+
+    /// The address that the kernel would send from to the group.
+    fn usual_address(&self) -> Option<Ipv4Addr> {
+        let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).ok()?;
+        socket.connect((GROUP, self.base_port)).ok()?;
+        match socket.local_addr().ok()? {
+            SocketAddr::V4(address) => Some(*address.ip()),
+            SocketAddr::V6(_) => None,
+        }
+    }
+
+    /// Hears the group on every interface. Those that do so already, or have gone, say no.
+    pub fn join(&self, addresses: &[Ipv4Addr]) {
+        for address in addresses {
+            let _ = self.multicast.join_multicast_v4(&GROUP, address);
+        }
+    }
+
+    /// Sends to the group on every interface.
+    pub fn send_to_group(&self, message: &[u8], addresses: &[Ipv4Addr]) {
+        for address in addresses {
+            if socket2::SockRef::from(&self.unicast)
+                .set_multicast_if_v4(address)
+                .is_ok()
+            {
+                self.send(message, SocketAddrV4::new(GROUP, self.base_port));
+            }
+        }
+    }
+
+    /// Sends to all participants that may be on a host.
+    pub fn send_to_host(&self, message: &[u8], host: Ipv4Addr) {
+        for index in 0..PARTICIPANTS_LOOKED_FOR {
+            let Some(port) = self.base_port.checked_add(10 + 2 * index) else {
+                return;
+            };
+            if !(host.is_loopback() && port == self.port) {
+                self.send(message, SocketAddrV4::new(host, port));
+            }
+        }
+    }
+
+    /// Sends a message; what is lost is asked for, or told again.
+    pub fn send(&self, message: &[u8], to: SocketAddrV4) {
+        let _ = self.unicast.send_to(message, to);
+    }
+
+    /// Sends part of a sample.
+    ///
+    /// # Errors
+    /// `WouldBlock` where there is no room now; else what the system says.
+    pub fn send_parts(&self, parts: &[IoSlice], to: Place) -> io::Result<()> {
+        let address = SockAddr::from(to.address);
+        if to.near {
+            socket2::SockRef::from(&self.unicast).send_to_vectored(parts, &address)?;
+        } else {
+            self.far.send_to_vectored(parts, &address)?;
+        }
+        Ok(())
+    }
+
+    /// Waits for a datagram.
+    pub fn wait(&self, longest: Duration) {
+        sys::wait([self.unicast.as_fd(), self.multicast.as_fd()], longest);
+    }
+
+    /// A datagram that is there, and the address that it comes from.
+    pub fn receive<'a>(&self, buffer: &'a mut [u8]) -> Option<(&'a [u8], Ipv4Addr)> {
+        for socket in [&self.unicast, &self.multicast] {
+            if let Ok((bytes, SocketAddr::V4(source))) = socket.recv_from(buffer) {
+                return Some((&buffer[..bytes], *source.ip()));
+            }
+        }
+        None
+    }
+}

@@ -1,0 +1,535 @@
+//! Messages of RTPS 2.3 (OMG formal/19-04-03, sections 8.3 and 9.4): ours written, anyone's read.
+//!
+//! A message is a header and submessages, each with a length of its own. Ours are little-endian;
+//! those of others say which they are. Reading never fails as a whole: what makes no sense ends it.
+
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// The 12 bytes that all entities of one participant share.
+pub type Prefix = [u8; 12];
+
+/// An entity of a participant: a number of 3 bytes, and what it is.
+pub type EntityId = [u8; 4];
+
+/// No reader in particular: all readers of the participant that gets the message.
+pub const ANY_READER: EntityId = [0; 4];
+pub const PARTICIPANT: EntityId = [0, 0, 1, 0xc1];
+pub const PARTICIPANTS_WRITER: EntityId = [0, 1, 0, 0xc2];
+pub const PARTICIPANTS_READER: EntityId = [0, 1, 0, 0xc7];
+pub const PUBLICATIONS_WRITER: EntityId = [0, 0, 3, 0xc2];
+pub const PUBLICATIONS_READER: EntityId = [0, 0, 3, 0xc7];
+pub const SUBSCRIPTIONS_WRITER: EntityId = [0, 0, 4, 0xc2];
+pub const SUBSCRIPTIONS_READER: EntityId = [0, 0, 4, 0xc7];
+
+const ACKNACK: u8 = 0x06;
+const HEARTBEAT: u8 = 0x07;
+const GAP: u8 = 0x08;
+const INFO_TIMESTAMP: u8 = 0x09;
+const INFO_DESTINATION: u8 = 0x0e;
+const NACK_FRAGMENT: u8 = 0x12;
+const DATA: u8 = 0x15;
+const DATA_FRAGMENT: u8 = 0x16;
+
+const LITTLE_ENDIAN: u8 = 1;
+const FINAL: u8 = 2;
+const INLINE_QOS: u8 = 2;
+const HAS_DATA: u8 = 4;
+const HAS_KEY: u8 = 8;
+
+/// Parameters that stand inline, before the payload.
+const KEY_HASH: u16 = 0x70;
+const STATUS_INFO: u16 = 0x71;
+const SENTINEL: u16 = 1;
+
+/// An entity, among all of the domain.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Guid {
+    /// Its participant.
+    pub prefix: Prefix,
+    /// Which of its entities.
+    pub entity: EntityId,
+}
+
+impl Guid {
+    /// The 16 bytes of it.
+    pub fn bytes(self) -> [u8; 16] {
+        let mut bytes = [0; 16];
+        bytes[..12].copy_from_slice(&self.prefix);
+        bytes[12..].copy_from_slice(&self.entity);
+        bytes
+    }
+
+    /// The entity of these bytes, where they are 16 or more.
+    pub fn read(bytes: &[u8]) -> Option<Self> {
+        Some(Self {
+            prefix: bytes.get(..12)?.try_into().ok()?,
+            entity: bytes.get(12..16)?.try_into().ok()?,
+        })
+    }
+}
+
+/// A moment as RTPS has it: seconds since 1970, and 2^-32 of them.
+pub type Timestamp = [u8; 8];
+
+/// The moment that is now.
+pub fn now() -> Timestamp {
+    let since_1970 = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .unwrap_or_default();
+    let fraction = (u64::from(since_1970.subsec_nanos()) << 32) / 1_000_000_000;
+    let mut bytes = [0; 8];
+    bytes[..4].copy_from_slice(&(since_1970.as_secs() as u32).to_le_bytes());
+    bytes[4..].copy_from_slice(&(fraction as u32).to_le_bytes());
+    bytes
+}
+
+/// Numbers from `base` on, at most 256 apart: of samples, or of fragments.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NumberSet {
+    /// All before it are there, when readers speak of what they miss.
+    pub base: u64,
+    bits: u32,
+    map: [u32; 8],
+}
+
+impl NumberSet {
+    /// No number.
+    pub fn new(base: u64) -> Self {
+        Self {
+            base,
+            bits: 0,
+            map: [0; 8],
+        }
+    }
+
+    /// Adds a number; one that is out of reach is left out.
+    pub fn insert(&mut self, number: u64) {
+        let Some(bit) = number.checked_sub(self.base).filter(|bit| *bit < 256) else {
+            return;
+        };
+        self.bits = self.bits.max(bit as u32 + 1);
+        self.map[bit as usize / 32] |= 1 << (31 - bit % 32);
+    }
+
+    /// The numbers, ascending.
+    pub fn iter(&self) -> impl Iterator<Item = u64> + '_ {
+        (0..self.bits)
+            .filter(|bit| self.map[*bit as usize / 32] >> (31 - bit % 32) & 1 == 1)
+            .map(|bit| self.base + u64::from(bit))
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.map == [0; 8]
+    }
+
+    fn write(&self, to: &mut Vec<u8>) {
+        put_number(to, self.base);
+        to.extend(self.bits.to_le_bytes());
+        for word in &self.map[..self.bits.div_ceil(32) as usize] {
+            to.extend(word.to_le_bytes());
+        }
+    }
+
+    /// The count of bits stands at `at`; also says where the words end.
+    fn read(fields: Fields, base: u64, at: usize) -> Option<(Self, usize)> {
+        let mut set = Self::new(base);
+        set.bits = fields.u32(at)?;
+        if set.bits > 256 {
+            return None;
+        }
+        let words = set.bits.div_ceil(32) as usize;
+        for (index, word) in set.map[..words].iter_mut().enumerate() {
+            *word = fields.u32(at + 4 + 4 * index)?;
+        }
+        Some((set, at + 4 + 4 * words))
+    }
+}
+
+/// Numbers within bytes of someone's choice of byte order.
+#[derive(Clone, Copy)]
+pub struct Fields<'a> {
+    /// The bytes.
+    pub bytes: &'a [u8],
+    /// Their order.
+    pub little_endian: bool,
+}
+
+impl<'a> Fields<'a> {
+    /// Four bytes as they are.
+    pub fn array(self, at: usize) -> Option<[u8; 4]> {
+        self.bytes.get(at..at.checked_add(4)?)?.try_into().ok()
+    }
+
+    /// A number of 16 bits.
+    pub fn u16(self, at: usize) -> Option<u16> {
+        let bytes = self.bytes.get(at..at.checked_add(2)?)?.try_into().ok()?;
+        Some(match self.little_endian {
+            true => u16::from_le_bytes(bytes),
+            false => u16::from_be_bytes(bytes),
+        })
+    }
+
+    /// A number of 32 bits.
+    pub fn u32(self, at: usize) -> Option<u32> {
+        let bytes = self.array(at)?;
+        Some(match self.little_endian {
+            true => u32::from_le_bytes(bytes),
+            false => u32::from_be_bytes(bytes),
+        })
+    }
+
+    /// The number of a sample. Those of RTPS are signed: half of the range is never used.
+    fn number(self, at: usize) -> Option<u64> {
+        let high = u64::from(self.u32(at)?);
+        let number = high << 32 | u64::from(self.u32(at + 4)?);
+        (number < 1 << 62).then_some(number)
+    }
+
+    /// The bytes from `at` on.
+    pub fn from(self, at: usize) -> Option<&'a [u8]> {
+        self.bytes.get(at..)
+    }
+}
+
+fn put_number(to: &mut Vec<u8>, number: u64) {
+    to.extend(((number >> 32) as u32).to_le_bytes());
+    to.extend((number as u32).to_le_bytes());
+}
+
+/// What a writer still has, told to readers: they ask for what they miss of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Heartbeat {
+    /// The oldest sample.
+    pub first: u64,
+    /// The newest; one less than `first` where there is none.
+    pub last: u64,
+    /// Higher in each heartbeat of a writer.
+    pub count: u32,
+}
+
+/// Between whom a sample goes, and which it is.
+#[derive(Clone, Copy, Debug)]
+pub struct Route {
+    /// [`ANY_READER`], or one.
+    pub reader: EntityId,
+    /// Whose sample it is.
+    pub writer: EntityId,
+    /// Its number.
+    pub number: u64,
+}
+
+impl Route {
+    fn write(self, to: &mut Vec<u8>) {
+        to.extend(self.reader);
+        to.extend(self.writer);
+        put_number(to, self.number);
+    }
+}
+
+/// A message that grows by submessages.
+pub struct Message(Vec<u8>);
+
+impl Message {
+    /// A header alone.
+    pub fn new(source: Prefix) -> Self {
+        let mut bytes = Vec::with_capacity(256);
+        bytes.extend(b"RTPS");
+        // Version 2.3, and the vendor that all peers take for unknown.
+        bytes.extend([2, 3, 0, 0]);
+        bytes.extend(source);
+        Self(bytes)
+    }
+
+    /// No header: submessages that go behind others.
+    pub fn empty() -> Self {
+        Self(vec![])
+    }
+
+    /// A message to one participant.
+    pub fn to(source: Prefix, destination: Prefix) -> Self {
+        let mut message = Self::new(source);
+        message.destination(destination);
+        message
+    }
+
+    /// All of it so far.
+    pub fn bytes(&self) -> &[u8] {
+        &self.0
+    }
+
+    /// The bytes themselves.
+    pub fn into_bytes(self) -> Vec<u8> {
+        self.0
+    }
+
+    fn begin(&mut self, kind: u8, flags: u8, body: usize) {
+        self.0.extend([kind, flags | LITTLE_ENDIAN]);
+        // At most a fragment, which is shorter than a datagram.
+        self.0.extend((body as u16).to_le_bytes());
+    }
+
+    /// What follows is for one participant only.
+    pub fn destination(&mut self, prefix: Prefix) {
+        self.begin(INFO_DESTINATION, 0, 12);
+        self.0.extend(prefix);
+    }
+
+    /// What follows is of that moment.
+    pub fn timestamp(&mut self, moment: Timestamp) {
+        self.begin(INFO_TIMESTAMP, 0, 8);
+        self.0.extend(moment);
+    }
+
+    /// What comes before a sample of `bytes`, a multiple of 4, which the caller puts behind it.
+    pub fn data(&mut self, route: Route, bytes: usize) {
+        self.begin(DATA, HAS_DATA, 20 + bytes);
+        self.0.extend([0, 0, 16, 0]);
+        route.write(&mut self.0);
+    }
+
+    /// What comes before the key of a thing that is no more.
+    pub fn disposal(&mut self, route: Route, key: Guid, bytes: usize) {
+        self.begin(DATA, INLINE_QOS | HAS_KEY, 20 + 32 + bytes);
+        self.0.extend([0, 0, 16, 0]);
+        route.write(&mut self.0);
+        for (parameter, value) in [
+            (KEY_HASH, key.bytes().as_slice()),
+            // Disposed, and unregistered.
+            (STATUS_INFO, &[0, 0, 0, 3]),
+            (SENTINEL, &[]),
+        ] {
+            self.0.extend(parameter.to_le_bytes());
+            self.0.extend((value.len() as u16).to_le_bytes());
+            self.0.extend(value);
+        }
+    }
+
+    /// What comes before `bytes` of a sample in fragments: the one of that number, from 1.
+    pub fn fragment(&mut self, route: Route, fragment: u32, of: Fragments, bytes: usize) {
+        self.begin(DATA_FRAGMENT, 0, 32 + bytes);
+        self.0.extend([0, 0, 28, 0]);
+        route.write(&mut self.0);
+        self.0.extend(fragment.to_le_bytes());
+        self.0.extend(1u16.to_le_bytes());
+        self.0.extend((of.fragment_bytes as u16).to_le_bytes());
+        self.0.extend((of.sample_bytes as u32).to_le_bytes());
+    }
+
+    /// Bytes of a sample behind what came before it.
+    pub fn payload(&mut self, bytes: &[u8]) {
+        self.0.extend(bytes);
+    }
+
+    /// Asks the readers to say what they miss.
+    pub fn heartbeat(&mut self, reader: EntityId, writer: EntityId, heartbeat: Heartbeat) {
+        self.begin(HEARTBEAT, 0, 28);
+        self.0.extend(reader);
+        self.0.extend(writer);
+        put_number(&mut self.0, heartbeat.first);
+        put_number(&mut self.0, heartbeat.last);
+        self.0.extend(heartbeat.count.to_le_bytes());
+    }
+
+    /// Says what our reader misses. Where it misses nothing, no answer is asked for.
+    pub fn acknack(&mut self, reader: EntityId, writer: EntityId, missing: &NumberSet, count: u32) {
+        let words = missing.bits.div_ceil(32) as usize;
+        let flags = if missing.is_empty() { FINAL } else { 0 };
+        self.begin(ACKNACK, flags, 24 + 4 * words);
+        self.0.extend(reader);
+        self.0.extend(writer);
+        missing.write(&mut self.0);
+        self.0.extend(count.to_le_bytes());
+    }
+
+    /// The samples from `first` to the one before `end` will never come.
+    pub fn gap(&mut self, reader: EntityId, writer: EntityId, first: u64, end: u64) {
+        self.begin(GAP, 0, 28);
+        self.0.extend(reader);
+        self.0.extend(writer);
+        put_number(&mut self.0, first);
+        NumberSet::new(end).write(&mut self.0);
+    }
+}
+
+/// How a sample is cut.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Fragments {
+    /// Bytes of each but the last.
+    pub fragment_bytes: usize,
+    /// Bytes of all.
+    pub sample_bytes: usize,
+}
+
+impl Fragments {
+    /// How many there are.
+    pub fn count(self) -> u32 {
+        self.sample_bytes.div_ceil(self.fragment_bytes) as u32
+    }
+}
+
+/// A submessage that a writer alone has use for.
+#[derive(Debug, PartialEq)]
+pub enum Submessage<'a> {
+    /// A sample: something new, or the end of something.
+    Data {
+        writer: EntityId,
+        number: u64,
+        /// What it is about, where that stands inline.
+        key: Option<Guid>,
+        disposed: bool,
+        payload: &'a [u8],
+    },
+    /// What a writer has.
+    Heartbeat {
+        writer: EntityId,
+        first: u64,
+        last: u64,
+    },
+    /// What a writer will never send: from `first` to before the base of `more`, and `more`.
+    Gap {
+        writer: EntityId,
+        first: u64,
+        more: NumberSet,
+    },
+    /// What a reader misses; it has all before the base.
+    AckNack {
+        reader: EntityId,
+        writer: EntityId,
+        missing: NumberSet,
+    },
+    /// Which fragments of a sample a reader misses.
+    NackFragment {
+        reader: EntityId,
+        writer: EntityId,
+        number: u64,
+        missing: NumberSet,
+    },
+}
+
+/// The submessages of a datagram that are for a participant.
+pub struct Submessages<'a> {
+    /// Who sent it.
+    pub source: Prefix,
+    own: Prefix,
+    for_us: bool,
+    rest: &'a [u8],
+}
+
+/// Opens a datagram; none where it is no RTPS, or our own.
+pub fn read(datagram: &[u8], own: Prefix) -> Option<Submessages<'_>> {
+    let source = datagram.get(8..20)?.try_into().ok()?;
+    if !datagram.starts_with(b"RTPS\x02") || source == own {
+        return None;
+    }
+    Some(Submessages {
+        source,
+        own,
+        for_us: true,
+        rest: &datagram[20..],
+    })
+}
+
+impl<'a> Iterator for Submessages<'a> {
+    type Item = Submessage<'a>;
+
+    fn next(&mut self) -> Option<Submessage<'a>> {
+        while let [kind, flags, _, _, ..] = *self.rest {
+            let little_endian = flags & LITTLE_ENDIAN != 0;
+            let header = Fields {
+                bytes: self.rest,
+                little_endian,
+            };
+            let length = usize::from(header.u16(2)?);
+            // Zero says: to the end of the datagram. Padding and a time that is none may be empty.
+            let to_the_end = length == 0 && !matches!(kind, 0x01 | INFO_TIMESTAMP);
+            let length = if to_the_end {
+                self.rest.len() - 4
+            } else {
+                length
+            };
+            let body = self.rest.get(4..4 + length)?;
+            self.rest = &self.rest[4 + length..];
+            if kind == INFO_DESTINATION {
+                let prefix = body.get(..12)?;
+                self.for_us = prefix == self.own || prefix == [0; 12];
+            } else if self.for_us {
+                let fields = Fields {
+                    bytes: body,
+                    little_endian,
+                };
+                if let Some(submessage) = read_submessage(kind, flags, fields) {
+                    return Some(submessage);
+                }
+            }
+        }
+        None
+    }
+}
+
+fn read_submessage(kind: u8, flags: u8, fields: Fields) -> Option<Submessage> {
+    let [first_entity, second_entity] = [fields.array(0)?, fields.array(4)?];
+    match kind {
+        DATA => read_data(flags, fields),
+        HEARTBEAT => {
+            let (first, last) = (fields.number(8)?, fields.number(16)?);
+            // An empty history says that its last is one before its first.
+            (first >= 1 && last + 1 >= first).then_some(Submessage::Heartbeat {
+                writer: second_entity,
+                first,
+                last,
+            })
+        }
+        GAP => {
+            let more = NumberSet::read(fields, fields.number(16)?, 24)?.0;
+            Some(Submessage::Gap {
+                writer: second_entity,
+                first: fields.number(8)?,
+                more,
+            })
+        }
+        ACKNACK => Some(Submessage::AckNack {
+            reader: first_entity,
+            writer: second_entity,
+            missing: NumberSet::read(fields, fields.number(8)?, 16)?.0,
+        }),
+        NACK_FRAGMENT => {
+            let base = u64::from(fields.u32(16)?);
+            Some(Submessage::NackFragment {
+                reader: first_entity,
+                writer: second_entity,
+                number: fields.number(8)?,
+                missing: NumberSet::read(fields, base, 20)?.0,
+            })
+        }
+        _ => None,
+    }
+}
+
+fn read_data(flags: u8, fields: Fields) -> Option<Submessage> {
+    let mut at = 4 + usize::from(fields.u16(2)?);
+    let mut key = None;
+    let mut disposed = false;
+    if flags & INLINE_QOS != 0 {
+        loop {
+            let (parameter, length) = (fields.u16(at)?, usize::from(fields.u16(at + 2)?));
+            let value = fields.bytes.get(at + 4..at + 4 + length);
+            at += 4;
+            match parameter {
+                SENTINEL => break,
+                KEY_HASH => key = Guid::read(value?),
+                STATUS_INFO => disposed = value?.get(3)? & 3 != 0,
+                _ => {}
+            }
+            at += length;
+        }
+    }
+    let has_payload = flags & (HAS_DATA | HAS_KEY) != 0;
+    Some(Submessage::Data {
+        writer: fields.array(8)?,
+        number: fields.number(12)?,
+        key,
+        disposed,
+        payload: if has_payload { fields.from(at)? } else { &[] },
+    })
+}

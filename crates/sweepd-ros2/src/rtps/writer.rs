@@ -1,0 +1,480 @@
+//! A writer: its history, the readers that it matches, and what those have (section 8.4).
+//!
+//! State without sockets. Small messages and deliveries that follow from what happens are put into
+//! an [`Outbox`]; no reader is waited for. A reader that asks for what the history no longer has
+//! gets a gap.
+
+use super::discovery::{Place, ReaderData};
+use super::flow::{Delivery, Link, Pulse, Step};
+use super::wire::{self, ANY_READER, EntityId, Guid, Message, NumberSet, Prefix, Timestamp};
+use std::collections::{BTreeMap, VecDeque};
+use std::net::SocketAddrV4;
+use std::sync::atomic::{AtomicU32, AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+/// First time after which a reader is asked what it has; doubled while it does not answer.
+const HEARTBEAT_INTERVAL: Duration = Duration::from_millis(100);
+
+/// Longest such time.
+const LONGEST_INTERVAL: Duration = Duration::from_secs(3);
+
+/// Old buffers that are kept for new samples.
+const SPARE_BUFFERS: usize = 2;
+
+/// What a sample is.
+pub enum Body {
+    /// CDR, encapsulation included, a multiple of 4 bytes.
+    Same(Vec<u8>),
+    /// Two forms of it: for readers that name the hash of their type, and for those that do not.
+    ByReader {
+        /// ROS 2 since Iron.
+        since_iron: Vec<u8>,
+        /// ROS 2 before.
+        before_iron: Vec<u8>,
+    },
+    /// The thing of that key is no more; a parameter list that says the same.
+    End(Guid, Vec<u8>),
+}
+
+/// A sample with its number.
+pub struct Sample {
+    /// From 1.
+    pub number: u64,
+    /// When it was written.
+    pub stamp: Timestamp,
+    body: Body,
+}
+
+impl Sample {
+    /// Its bytes, in the form for such a reader.
+    pub fn payload(&self, names_hash: bool) -> &[u8] {
+        match &self.body {
+            Body::Same(bytes) | Body::End(_, bytes) => bytes,
+            Body::ByReader { since_iron, .. } if names_hash => since_iron,
+            Body::ByReader { before_iron, .. } => before_iron,
+        }
+    }
+
+    /// What has ended, where it says so.
+    pub fn ended(&self) -> Option<Guid> {
+        match self.body {
+            Body::End(key, _) => Some(key),
+            Body::Same(_) | Body::ByReader { .. } => None,
+        }
+    }
+}
+
+/// What a writer offers.
+#[derive(Clone, Debug)]
+pub struct Offer {
+    /// Its topic in DDS, as `rt/points`.
+    pub topic: String,
+    /// Its type in DDS, as `sensor_msgs::msg::dds_::PointCloud2_`.
+    pub type_name: String,
+    /// The hash of its type, as ROS 2 has it since Iron.
+    pub type_hash: &'static str,
+    /// Whether readers that come late get its history.
+    pub transient_local: bool,
+    /// Samples in its history.
+    pub depth: usize,
+}
+
+/// How a reader and an offer go together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Match {
+    /// They do.
+    Yes,
+    /// Another topic or type.
+    No,
+    /// The reader asks for more than is offered.
+    AsksMore,
+}
+
+impl Offer {
+    /// Whether a reader gets our samples. All of ours are reliable.
+    pub fn matches(&self, reader: &ReaderData) -> Match {
+        if self.topic != reader.topic || self.type_name != reader.type_name {
+            Match::No
+        } else if reader.transient_local && !self.transient_local {
+            Match::AsksMore
+        } else {
+            Match::Yes
+        }
+    }
+}
+
+/// What others see of a writer without its lock.
+#[derive(Debug, Default)]
+pub struct Counters {
+    /// Readers that it matches.
+    pub readers: AtomicUsize,
+    /// Samples that were sent to someone.
+    pub written: AtomicU64,
+    /// Times that a reader asked for a sample or its fragments, and got them.
+    pub repaired: AtomicU64,
+}
+
+/// A reader, and what became of the samples for it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ReaderCount {
+    /// Which reader.
+    pub guid: Guid,
+    /// Where it gets its samples.
+    pub place: Place,
+    /// Samples that it lost, because its socket was full for too long.
+    pub skipped: u64,
+}
+
+/// What is to be sent: small messages at once, samples when there is room.
+#[derive(Default)]
+pub struct Outbox {
+    /// Messages, and where they go.
+    pub messages: Vec<(SocketAddrV4, Message)>,
+    /// Samples that are sent again.
+    pub repairs: Vec<Delivery>,
+}
+
+struct Reader {
+    link: Arc<Link>,
+    reliable: bool,
+    names_hash: bool,
+    /// It gets no sample before this.
+    from: u64,
+    /// It has all up to this.
+    acknowledged: u64,
+    next_heartbeat: Instant,
+    interval: Duration,
+    skipped: u64,
+}
+
+impl Reader {
+    fn ask_after(&mut self, interval: Duration, now: Instant) {
+        self.interval = interval;
+        self.next_heartbeat = now + interval;
+    }
+}
+
+/// The writer.
+pub struct Writer {
+    /// Which of ours.
+    pub guid: Guid,
+    /// Held from the number of a sample to its end: samples follow one another.
+    pub turn: Arc<Mutex<()>>,
+    /// For all to see.
+    pub counters: Arc<Counters>,
+    transient_local: bool,
+    depth: usize,
+    history: VecDeque<Arc<Sample>>,
+    /// Number of the newest sample that is sent, or was not sent because nobody reads it.
+    complete: u64,
+    readers: BTreeMap<Guid, Reader>,
+    heartbeats: Arc<AtomicU32>,
+    spare: Vec<Vec<u8>>,
+}
+
+impl Writer {
+    /// A writer without samples and readers.
+    pub fn new(guid: Guid, transient_local: bool, depth: usize) -> Self {
+        Self {
+            guid,
+            turn: Arc::default(),
+            counters: Arc::default(),
+            transient_local,
+            depth,
+            history: VecDeque::new(),
+            complete: 0,
+            readers: BTreeMap::new(),
+            heartbeats: Arc::default(),
+            spare: vec![],
+        }
+    }
+
+    /// Number of the oldest sample in the history.
+    fn first(&self) -> u64 {
+        let oldest = self.history.front();
+        oldest.map_or(self.complete + 1, |sample| sample.number)
+    }
+
+    fn pulse(&self, first: u64, last: u64) -> Pulse {
+        Pulse {
+            first,
+            last,
+            count: Arc::clone(&self.heartbeats),
+        }
+    }
+
+    fn reader_count_changed(&self) {
+        let readers = self.readers.len();
+        self.counters.readers.store(readers, Ordering::Relaxed);
+    }
+
+    /// A reader is there, or is at another place now. A late one gets the history, where both
+    /// sides want that.
+    pub fn add_reader(
+        &mut self,
+        data: &ReaderData,
+        link: Arc<Link>,
+        now: Instant,
+        out: &mut Outbox,
+    ) {
+        if let Some(known) = self.readers.get_mut(&data.guid) {
+            known.link = link;
+            return;
+        }
+        let late = self.transient_local && data.transient_local;
+        let last = self
+            .history
+            .back()
+            .map_or(self.complete, |sample| sample.number);
+        let mut reader = Reader {
+            link,
+            reliable: data.reliable,
+            names_hash: data.names_hash,
+            from: if late { 1 } else { last.max(self.complete) + 1 },
+            acknowledged: 0,
+            next_heartbeat: now,
+            interval: HEARTBEAT_INTERVAL,
+            skipped: 0,
+        };
+        reader.acknowledged = reader.from - 1;
+        if late {
+            let all = self
+                .history
+                .iter()
+                .filter(|sample| sample.number <= self.complete);
+            for sample in all {
+                out.repairs
+                    .push(self.repair(data.guid, &reader, sample, None));
+            }
+            reader.ask_after(HEARTBEAT_INTERVAL, now);
+        } else if data.reliable {
+            let entities = [data.guid.entity, self.guid.entity];
+            let mut message = Message::to(self.guid.prefix, data.guid.prefix);
+            let [theirs, ours] = entities;
+            message.gap(theirs, ours, 1, reader.from);
+            let pulse = self.pulse(reader.from, reader.from - 1);
+            message.heartbeat(theirs, ours, pulse.beat());
+            out.messages.push((reader.link.place.address, message));
+        }
+        self.readers.insert(data.guid, reader);
+        self.reader_count_changed();
+    }
+
+    /// Readers that are no more: one, or those of a participant.
+    pub fn remove_readers(&mut self, gone: impl Fn(Guid) -> bool) {
+        self.readers.retain(|guid, _| !gone(*guid));
+        self.reader_count_changed();
+    }
+
+    /// An old buffer to write a new sample into, empty.
+    pub fn buffer(&mut self) -> Vec<u8> {
+        self.spare.pop().unwrap_or_default()
+    }
+
+    /// Gives a sample its number, and says to whom it goes. None where nobody gets it, now or
+    /// later. The turn must be held until [`Writer::finish`].
+    pub fn begin(&mut self, body: Body) -> Option<Vec<Delivery>> {
+        if self.readers.is_empty() && !self.transient_local {
+            return None;
+        }
+        let sample = Arc::new(Sample {
+            number: self.complete + 1,
+            stamp: wire::now(),
+            body,
+        });
+        let reliable = self.readers.values().any(|reader| reader.reliable);
+        if reliable || self.transient_local {
+            self.history.push_back(Arc::clone(&sample));
+        }
+        let kept = if reliable || self.transient_local {
+            self.depth
+        } else {
+            0
+        };
+        while self.history.len() > kept
+            && let Some(old) = self.history.pop_front()
+        {
+            self.recycle(old);
+        }
+        let mut deliveries: Vec<Delivery> = vec![];
+        for (guid, reader) in &self.readers {
+            let by_reader = matches!(sample.body, Body::ByReader { .. });
+            let same_place = deliveries
+                .iter_mut()
+                .find(|delivery| !by_reader && Arc::ptr_eq(&delivery.link, &reader.link));
+            let pulse = || self.pulse(self.first(), sample.number);
+            if let Some(delivery) = same_place {
+                // It goes there already, for any reader.
+                if reader.reliable && delivery.pulse.is_none() {
+                    delivery.pulse = Some(pulse());
+                }
+                continue;
+            }
+            let mut delivery = match by_reader {
+                true => self.delivery(Some(*guid), reader, &sample, None),
+                false => self.delivery(None, reader, &sample, None),
+            };
+            delivery.pulse = reader.reliable.then(pulse);
+            deliveries.push(delivery);
+        }
+        Some(deliveries)
+    }
+
+    /// The sample is sent; `ended` says how each delivery did.
+    pub fn finish(&mut self, ended: Vec<(Delivery, Step)>, now: Instant) {
+        self.complete += 1;
+        for reader in self.readers.values_mut() {
+            reader.ask_after(HEARTBEAT_INTERVAL, now);
+            let lost = ended.iter().any(|(delivery, step)| {
+                *step == Step::Lost && Arc::ptr_eq(&delivery.link, &reader.link)
+            });
+            reader.skipped += u64::from(lost);
+        }
+        if !ended.is_empty() {
+            self.counters.written.fetch_add(1, Ordering::Relaxed);
+        }
+        let mut samples = ended.into_iter().map(|(delivery, _)| delivery.sample);
+        let sample = samples.next();
+        drop(samples);
+        if let Some(sample) = sample {
+            self.recycle(sample);
+        }
+    }
+
+    /// Keeps the buffer of a sample that nobody needs any more.
+    fn recycle(&mut self, sample: Arc<Sample>) {
+        if let Ok(sample) = Arc::try_unwrap(sample)
+            && let Body::Same(mut buffer) = sample.body
+            && self.spare.len() < SPARE_BUFFERS
+        {
+            buffer.clear();
+            self.spare.push(buffer);
+        }
+    }
+
+    /// Takes back the samples of a thing that is no more.
+    pub fn withdraw(&mut self, of: impl Fn(&Sample) -> bool) {
+        self.history.retain(|sample| !of(sample));
+    }
+
+    /// Keeps the newest samples that say that something has ended, up to that many.
+    pub fn keep_ends(&mut self, ends: usize) {
+        let all = self
+            .history
+            .iter()
+            .filter(|sample| sample.ended().is_some());
+        let mut surplus = all.count().saturating_sub(ends);
+        self.history.retain(|sample| {
+            let drop = surplus > 0 && sample.ended().is_some();
+            surplus -= usize::from(drop);
+            !drop
+        });
+    }
+
+    fn delivery(
+        &self,
+        to: Option<Guid>,
+        reader: &Reader,
+        sample: &Arc<Sample>,
+        only: Option<NumberSet>,
+    ) -> Delivery {
+        let entity = to.map_or(ANY_READER, |guid| guid.entity);
+        let prefix: Option<Prefix> = to.map(|guid| guid.prefix);
+        let entities: [EntityId; 2] = [entity, self.guid.entity];
+        let mut delivery = Delivery::new(
+            &reader.link,
+            self.guid.prefix,
+            prefix,
+            entities,
+            sample,
+            only,
+        );
+        delivery.names_hash = reader.names_hash;
+        delivery
+    }
+
+    fn repair(
+        &self,
+        to: Guid,
+        reader: &Reader,
+        sample: &Arc<Sample>,
+        only: Option<NumberSet>,
+    ) -> Delivery {
+        let mut repair = self.delivery(Some(to), reader, sample, only);
+        repair.pulse = reader.reliable.then(|| {
+            self.pulse(
+                self.first().max(reader.from).min(self.complete + 1),
+                self.complete,
+            )
+        });
+        repair
+    }
+
+    /// A reader says what it misses: it gets that again, or hears that it never will.
+    pub fn acknack(&mut self, from: Guid, missing: &NumberSet, now: Instant, out: &mut Outbox) {
+        let complete = self.complete;
+        let first = self.first();
+        let Some(reader) = self.readers.get_mut(&from) else {
+            return;
+        };
+        let has = missing.base.saturating_sub(1).min(complete);
+        reader.acknowledged = reader.acknowledged.max(has);
+        reader.ask_after(HEARTBEAT_INTERVAL, now);
+        let first = first.max(reader.from);
+        let reader = &self.readers[&from];
+        let mut gaps = Message::to(self.guid.prefix, from.prefix);
+        let empty = gaps.bytes().len();
+        let wanted = missing.iter().filter(|number| *number <= complete);
+        let (never, wanted): (Vec<u64>, Vec<u64>) = wanted.partition(|number| *number < first);
+        if let Some(oldest) = never.first() {
+            gaps.gap(from.entity, self.guid.entity, (*oldest).max(1), first);
+        }
+        for number in wanted {
+            match self.history.iter().find(|sample| sample.number == number) {
+                Some(sample) => out.repairs.push(self.repair(from, reader, sample, None)),
+                None => gaps.gap(from.entity, self.guid.entity, number, number + 1),
+            }
+        }
+        if gaps.bytes().len() > empty {
+            out.messages.push((reader.link.place.address, gaps));
+        }
+    }
+
+    /// A reader says which fragments of a sample it misses.
+    pub fn nack_fragment(&mut self, from: Guid, number: u64, missing: NumberSet, out: &mut Outbox) {
+        let Some(reader) = self.readers.get(&from) else {
+            return;
+        };
+        let found = self.history.iter().find(|sample| sample.number == number);
+        if let Some(sample) = found.filter(|_| number <= self.complete && number >= reader.from) {
+            out.repairs
+                .push(self.repair(from, reader, sample, Some(missing)));
+        }
+    }
+
+    /// Asks readers that have not said that they have all.
+    pub fn tick(&mut self, now: Instant, out: &mut Outbox) {
+        let pulse = self.pulse(self.first(), self.complete);
+        for (guid, reader) in &mut self.readers {
+            let waiting = reader.reliable && reader.acknowledged < self.complete;
+            if !waiting || now < reader.next_heartbeat {
+                continue;
+            }
+            reader.ask_after((reader.interval * 2).min(LONGEST_INTERVAL), now);
+            let mut message = Message::to(self.guid.prefix, guid.prefix);
+            message.heartbeat(guid.entity, self.guid.entity, pulse.beat());
+            out.messages.push((reader.link.place.address, message));
+        }
+    }
+
+    /// The readers, and what they lost.
+    pub fn reader_counts(&self) -> Vec<ReaderCount> {
+        let count = |(guid, reader): (&Guid, &Reader)| ReaderCount {
+            guid: *guid,
+            place: reader.link.place,
+            skipped: reader.skipped,
+        };
+        self.readers.iter().map(count).collect()
+    }
+}
