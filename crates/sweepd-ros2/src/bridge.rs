@@ -1,0 +1,283 @@
+//! One sensor: of each sweep, what somebody subscribed to is computed and published.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use sweepd_client::client::{Client, ClientError, Domain, Sweep};
+use sweepd_client::host::realtime_ns;
+use sweepd_core::sensor::Model;
+use sweepd_core::sweep::{Header, SweepRef};
+use sweepd_messages::cloud::{Cloud, Points};
+use sweepd_messages::message_type::{IMAGE, MARKER_ARRAY, POINT_CLOUD};
+use sweepd_messages::{MessageHeader, MessageType, image, markers};
+use sweepd_ros2::Publisher;
+
+use crate::log;
+use crate::parameters::SensorParameters;
+use crate::transforms::Transforms;
+
+/// Longest wait for a sweep, and so for the end of the program.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// A sensor is silent when no sweep comes for this long, as the daemon judges.
+pub const PATIENCE: Duration = Duration::from_secs(2);
+/// Before shared memory that cannot be read is tried again.
+const RETRY_AFTER: Duration = Duration::from_secs(1);
+
+/// What is published of a sensor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Topic {
+    /// All returns.
+    Points,
+    /// Those of the ground.
+    Ground,
+    /// Those of segments.
+    Objects,
+    /// A box for each segment.
+    Markers,
+    /// Ranges as an image.
+    RangeImage,
+    /// Labels as an image.
+    LabelImage,
+}
+
+impl Topic {
+    /// All, as they are numbered.
+    pub const ALL: [Self; 6] = [
+        Self::Points,
+        Self::Ground,
+        Self::Objects,
+        Self::Markers,
+        Self::RangeImage,
+        Self::LabelImage,
+    ];
+
+    /// Its name below the sensor's.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Points => "points",
+            Self::Ground => "ground",
+            Self::Objects => "objects",
+            Self::Markers => "markers",
+            Self::RangeImage => "range_image",
+            Self::LabelImage => "label_image",
+        }
+    }
+
+    /// Its messages.
+    pub fn message_type(self) -> &'static MessageType {
+        match self {
+            Self::Points | Self::Ground | Self::Objects => &POINT_CLOUD,
+            Self::Markers => &MARKER_ARRAY,
+            Self::RangeImage | Self::LabelImage => &IMAGE,
+        }
+    }
+
+    /// The message of a sweep.
+    fn encode(self, sweep: &SweepRef<'_>, parameters: &SensorParameters, message: &mut Vec<u8>) {
+        let header = MessageHeader {
+            frame_id: &parameters.frame_id,
+            stamp: parameters.stamp,
+        };
+        let cloud = |points| Cloud {
+            points,
+            layout: parameters.layout,
+            organized: parameters.organized,
+        };
+        match self {
+            Self::Points => cloud(Points::All).encode(sweep, &header, message),
+            Self::Ground => cloud(Points::Ground).encode(sweep, &header, message),
+            Self::Objects => cloud(Points::Objects).encode(sweep, &header, message),
+            Self::Markers => markers::encode(sweep, &header, message),
+            Self::RangeImage => image::encode_ranges(sweep, &header, message),
+            Self::LabelImage => image::encode_labels(sweep, &header, message),
+        }
+    }
+}
+
+/// A sensor with its topics.
+pub struct Bridge {
+    /// Its name.
+    pub name: String,
+    /// How it is published.
+    pub parameters: SensorParameters,
+    /// One for each [`Topic`].
+    pub publishers: Vec<Publisher>,
+    /// What came of it, for `/diagnostics`.
+    pub seen: Seen,
+}
+
+/// What came of a sensor so far.
+#[derive(Debug, Default)]
+pub struct Seen {
+    /// Messages that were computed, for each [`Topic`].
+    computed: [AtomicU64; Topic::ALL.len()],
+    tally: Mutex<Tally>,
+}
+
+/// Sums over sweeps.
+#[derive(Clone, Debug, Default)]
+pub struct Tally {
+    /// Sweeps.
+    pub sweeps: u64,
+    /// Sweeps that the bridge was too slow for.
+    pub missed_sweeps: u64,
+    /// Packets missing by the sensor's clock.
+    pub lost_packets: u64,
+    /// Datagrams that the daemon's host dropped.
+    pub dropped_datagrams: u64,
+    /// Columns without a packet.
+    pub missing_columns: u64,
+    /// The newest sweep, and when it came.
+    pub newest: Option<(Header, Instant)>,
+    /// From the newest sweep's completion to its receipt here.
+    pub latency: Duration,
+    /// Why no sweep can be had.
+    pub trouble: Option<String>,
+}
+
+impl Seen {
+    /// The sums so far.
+    pub fn tally(&self) -> Tally {
+        self.with_tally(|tally| tally.clone())
+    }
+
+    /// Messages that were computed of a topic.
+    pub fn computed(&self, topic: Topic) -> u64 {
+        self.computed[topic as usize].load(Ordering::Relaxed)
+    }
+
+    fn with_tally<T>(&self, action: impl FnOnce(&mut Tally) -> T) -> T {
+        action(&mut self.tally.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+impl Tally {
+    fn add(&mut self, header: &Header) {
+        if let Some((before, _)) = &self.newest
+            && before.run_ns == header.run_ns
+        {
+            let skipped = header
+                .sequence
+                .saturating_sub(before.sequence.saturating_add(1));
+            self.missed_sweeps = self.missed_sweeps.saturating_add(skipped);
+        }
+        self.sweeps += 1;
+        self.lost_packets += u64::from(header.lost_packets);
+        self.dropped_datagrams += u64::from(header.dropped_datagrams);
+        self.missing_columns += u64::from(header.missing_columns);
+        let latency_ns = realtime_ns().saturating_sub(header.completed_ns);
+        self.latency = Duration::from_nanos(u64::try_from(latency_ns).unwrap_or(0));
+        self.newest = Some((*header, Instant::now()));
+        self.trouble = None;
+    }
+}
+
+impl Bridge {
+    /// Publishes the sensor's sweeps until the program is over: before there is a daemon, over its
+    /// restarts, and when it is gone.
+    pub fn run(&self, domain: &Domain, transforms: Option<&Transforms>, over: &AtomicBool) {
+        while !over.load(Ordering::Relaxed) {
+            let Err(error) = self.follow(domain, transforms, over) else {
+                return;
+            };
+            let trouble = error.to_string();
+            if self.seen.tally().trouble.as_ref() != Some(&trouble) {
+                log::warn(format_args!("{}: {trouble}", self.name));
+            }
+            self.seen.with_tally(|tally| tally.trouble = Some(trouble));
+            let begun = Instant::now();
+            while begun.elapsed() < RETRY_AFTER && !over.load(Ordering::Relaxed) {
+                std::thread::sleep(LOOK_EVERY);
+            }
+        }
+    }
+
+    fn follow(
+        &self,
+        domain: &Domain,
+        transforms: Option<&Transforms>,
+        over: &AtomicBool,
+    ) -> Result<(), ClientError> {
+        let mut client = Client::within(domain, &self.name)?;
+        let mut last: Option<Instant> = None;
+        while !over.load(Ordering::Relaxed) {
+            match client.next(LOOK_EVERY)? {
+                Some(sweep) => {
+                    let is_first = last.replace(Instant::now()).is_none();
+                    self.publish(sweep, is_first, transforms)?;
+                }
+                None if last.is_some_and(|last| last.elapsed() >= PATIENCE) => {
+                    last = None;
+                    self.note_silence(&client);
+                }
+                None => {}
+            }
+        }
+        Ok(())
+    }
+
+    fn publish(
+        &self,
+        sweep: Sweep,
+        is_first: bool,
+        transforms: Option<&Transforms>,
+    ) -> Result<(), ClientError> {
+        let view = sweep.view().map_err(|source| ClientError::Layout {
+            name: self.name.clone(),
+            source,
+        })?;
+        if is_first {
+            self.note_streaming(view.header);
+        }
+        self.seen.with_tally(|tally| tally.add(view.header));
+        if let Some(transforms) = transforms {
+            transforms.see(&self.name, &self.parameters.frame_id, view.header);
+        }
+        let mut messages = Vec::new();
+        for (topic, publisher) in Topic::ALL.into_iter().zip(&self.publishers) {
+            if publisher.readers() > 0 {
+                self.seen.computed[topic as usize].fetch_add(1, Ordering::Relaxed);
+                let mut message = publisher.buffer();
+                topic.encode(&view, &self.parameters, &mut message);
+                messages.push((publisher, message));
+            }
+        }
+        // The daemon has the memory back before the network is waited for.
+        drop(sweep);
+        for (publisher, message) in messages {
+            publisher.publish(message);
+        }
+        Ok(())
+    }
+
+    fn note_streaming(&self, header: &Header) {
+        log::info(format_args!(
+            "{}: {} at {} is published as {}",
+            self.name,
+            model(header),
+            header.sensor(),
+            self.publishers[Topic::Points as usize].topic(),
+        ));
+    }
+
+    fn note_silence(&self, client: &Client) {
+        let why = match client.is_published() {
+            true => "does the sensor send? `sweepd doctor` finds out",
+            false => "it is not published any more: was the daemon stopped?",
+        };
+        let seconds = PATIENCE.as_secs();
+        log::warn(format_args!(
+            "{}: no sweep for {seconds} s: {why}",
+            self.name
+        ));
+    }
+}
+
+/// Name of the model in a header.
+pub fn model(header: &Header) -> String {
+    match Model::from_code(header.model) {
+        Some(model) => model.to_string(),
+        None => format!("model {}", header.model),
+    }
+}

@@ -1,0 +1,349 @@
+//! `/diagnostics`: how each sensor is, by its sweeps and by what the daemon says.
+
+use std::collections::BTreeMap;
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+use sweepd_client::client::Domain;
+use sweepd_client::host::realtime_ns;
+use sweepd_messages::diagnostics::{self, Level, Status};
+use sweepd_ros2::Publisher;
+
+use crate::bridge::{Bridge, PATIENCE, Tally, Topic, model};
+
+/// Name of the daemon's status; that of a sensor is `sweepd: NAME`.
+const DAEMON: &str = "sweepd";
+/// Longest wait for the daemon's answer, and longest answer in bytes.
+const ANSWER_WITHIN: Duration = Duration::from_millis(200);
+const ANSWER_BYTES: u64 = 1 << 20;
+
+/// The publisher of `/diagnostics`.
+pub struct Diagnostics {
+    publisher: Publisher,
+    /// Where the daemon is asked, if it is.
+    health: Option<SocketAddr>,
+    /// The sums at the message before, and when that was.
+    before: BTreeMap<String, (Instant, Tally)>,
+}
+
+impl Diagnostics {
+    /// Nothing is known yet.
+    pub fn new(publisher: Publisher, health: Option<SocketAddr>) -> Self {
+        Self {
+            publisher,
+            health,
+            before: BTreeMap::new(),
+        }
+    }
+
+    /// Publishes how the sensors are, if somebody reads it.
+    pub fn publish<'a>(&mut self, domain: &Domain, bridges: impl Iterator<Item = &'a Bridge>) {
+        if self.publisher.readers() == 0 {
+            return;
+        }
+        let daemon = self.health.map(|at| (at, of_this(ask(at), domain.root())));
+        let mut statuses: Vec<Status> = daemon
+            .iter()
+            .map(|(at, said)| of_daemon(*at, said))
+            .collect();
+        for bridge in bridges {
+            let said = daemon
+                .as_ref()
+                .and_then(|(_, said)| sensor(said, &bridge.name));
+            statuses.push(self.of_sensor(bridge, said));
+        }
+        let mut message = Vec::new();
+        diagnostics::encode(realtime_ns(), &statuses, &mut message);
+        self.publisher.publish(message);
+    }
+
+    fn of_sensor(&mut self, bridge: &Bridge, said: Option<&Value>) -> Status {
+        let (now, tally) = (Instant::now(), bridge.seen.tally());
+        let before = self
+            .before
+            .insert(bridge.name.clone(), (now, tally.clone()));
+        let (since, before) = before.unwrap_or_else(|| (now, tally.clone()));
+        let seconds = now.duration_since(since).as_secs_f64();
+        let sweeps = tally.sweeps.saturating_sub(before.sweeps);
+        let rate = if seconds > 0.0 {
+            sweeps as f64 / seconds
+        } else {
+            0.0
+        };
+        let (level, message) = judge(&tally, &before, rate, said);
+        let mut values = Vec::new();
+        let mut add = |key: &str, value: String| values.push((key.to_owned(), value));
+        let mut hardware_id = String::new();
+        if let Some((header, _)) = &tally.newest {
+            let (model, address) = (model(header), header.sensor());
+            hardware_id = format!("{model} {address}");
+            add("model", model);
+            add("address", address.to_owned());
+            add("rpm", format!("{:.1}", header.rpm));
+            add("returns", header.returns.to_string());
+            add("segments", header.segments.to_string());
+            add(
+                "latency ms",
+                format!("{:.2}", 1e3 * tally.latency.as_secs_f64()),
+            );
+        }
+        add("sweeps/s", format!("{rate:.1}"));
+        add("sweeps", tally.sweeps.to_string());
+        add("missed sweeps", tally.missed_sweeps.to_string());
+        add("lost packets", tally.lost_packets.to_string());
+        add("dropped datagrams", tally.dropped_datagrams.to_string());
+        add("missing columns", tally.missing_columns.to_string());
+        for (topic, publisher) in Topic::ALL.into_iter().zip(&bridge.publishers) {
+            let name = topic.name();
+            add(&format!("{name} readers"), publisher.readers().to_string());
+            add(
+                &format!("{name} computed"),
+                bridge.seen.computed(topic).to_string(),
+            );
+        }
+        for key in ["state", "gps", "temperature_c", "consumers"] {
+            match said.map(|said| &said[key]) {
+                None | Some(Value::Null) => {}
+                Some(Value::String(text)) => add(key, text.clone()),
+                Some(other) => add(key, other.to_string()),
+            }
+        }
+        Status {
+            level,
+            name: format!("{DAEMON}: {}", bridge.name),
+            message,
+            hardware_id,
+            values,
+        }
+    }
+}
+
+/// How a sensor is, in words: by what is worst.
+fn judge(tally: &Tally, before: &Tally, rate: f64, said: Option<&Value>) -> (Level, String) {
+    if let Some(trouble) = &tally.trouble {
+        return (Level::Error, trouble.clone());
+    }
+    let reason = said.and_then(|said| said["reason"].as_str());
+    let state = said.and_then(|said| said["state"].as_str());
+    let words = match (state, reason) {
+        (Some(state), Some(reason)) => format!("{state}: {reason}"),
+        (Some(state), None) => state.to_owned(),
+        _ => String::new(),
+    };
+    if said.is_some_and(|said| said["is_fault"] == true) {
+        return (Level::Error, words);
+    }
+    match &tally.newest {
+        None => return (Level::Stale, "no sweep yet".to_owned()),
+        Some((_, at)) if at.elapsed() >= PATIENCE => {
+            let seconds = at.elapsed().as_secs();
+            return (Level::Stale, format!("no sweep for {seconds} s"));
+        }
+        Some(_) => {}
+    }
+    if reason.is_some() {
+        return (Level::Warn, words);
+    }
+    let lost = tally.lost_packets.saturating_sub(before.lost_packets);
+    let dropped = tally
+        .dropped_datagrams
+        .saturating_sub(before.dropped_datagrams);
+    if lost > 0 || dropped > 0 {
+        let message =
+            format!("{lost} packets lost and {dropped} datagrams dropped since the message before");
+        return (Level::Warn, message);
+    }
+    (Level::Ok, format!("streaming, {rate:.1} sweeps/s"))
+}
+
+/// What the daemon says, if it is the one whose sweeps come from `root`.
+fn of_this(said: Result<Value, String>, root: &Path) -> Result<Value, String> {
+    let said = said?;
+    match said["root"].as_str() {
+        Some(its) if Path::new(its) != root => Err(format!(
+            "the daemon there shares its sweeps in {its}, these come from {}",
+            root.display()
+        )),
+        _ => Ok(said),
+    }
+}
+
+fn of_daemon(at: SocketAddr, said: &Result<Value, String>) -> Status {
+    let (level, message) = match said {
+        Ok(said) => {
+            let reasons = said["reasons"].as_array();
+            let reasons: Vec<&str> = reasons
+                .into_iter()
+                .flatten()
+                .filter_map(Value::as_str)
+                .collect();
+            let level = match said["status"].as_str() {
+                Some("ok") => Level::Ok,
+                Some("warning") => Level::Warn,
+                _ => Level::Error,
+            };
+            let message = if reasons.is_empty() {
+                "all sensors stream".to_owned()
+            } else {
+                reasons.join("; ")
+            };
+            (level, message)
+        }
+        Err(why) => (Level::Stale, format!("its health is not known: {why}")),
+    };
+    let mut values = vec![("health".to_owned(), format!("http://{at}/health"))];
+    for key in ["version", "pid", "uptime_s", "root"] {
+        match said.as_ref().map(|said| &said[key]) {
+            Ok(Value::String(text)) => values.push((key.to_owned(), text.clone())),
+            Ok(Value::Number(number)) => values.push((key.to_owned(), number.to_string())),
+            _ => {}
+        }
+    }
+    Status {
+        level,
+        name: DAEMON.to_owned(),
+        message,
+        hardware_id: String::new(),
+        values,
+    }
+}
+
+/// What the daemon says of a sensor.
+fn sensor<'a>(said: &'a Result<Value, String>, name: &str) -> Option<&'a Value> {
+    let sensors = said.as_ref().ok()?["sensors"].as_array()?;
+    sensors.iter().find(|one| one["name"] == name)
+}
+
+/// The daemon's `/health`; the error says in a few words why there is none.
+fn ask(at: SocketAddr) -> Result<Value, String> {
+    let answer = get(at).map_err(|error| format!("no answer from {at}: {error}"))?;
+    let (_, body) = answer
+        .split_once("\r\n\r\n")
+        .ok_or_else(|| format!("what answers at {at} is no web server"))?;
+    serde_json::from_str(body).map_err(|error| format!("the answer of {at} is no JSON: {error}"))
+}
+
+fn get(at: SocketAddr) -> std::io::Result<String> {
+    let mut stream = TcpStream::connect_timeout(&at, ANSWER_WITHIN)?;
+    stream.set_read_timeout(Some(ANSWER_WITHIN))?;
+    stream.set_write_timeout(Some(ANSWER_WITHIN))?;
+    stream.write_all(format!("GET /health HTTP/1.0\r\nHost: {at}\r\n\r\n").as_bytes())?;
+    let mut answer = String::new();
+    stream.take(ANSWER_BYTES).read_to_string(&mut answer)?;
+    Ok(answer)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+    use std::net::TcpListener;
+
+    /// A server that gives this answer once.
+    fn server(answer: &'static str) -> SocketAddr {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let at = listener.local_addr().unwrap();
+        std::thread::spawn(move || {
+            let (mut stream, _) = listener.accept().unwrap();
+            let mut request = [0; 1024];
+            let _ = stream.read(&mut request).unwrap();
+            stream.write_all(answer.as_bytes()).unwrap();
+        });
+        at
+    }
+
+    #[test]
+    fn the_daemon_is_asked_and_a_strange_answer_is_named() {
+        let answer = "HTTP/1.0 503 Service Unavailable\r\nContent-Type: application/json\r\n\r\n{\"status\": \"unwell\"}";
+        assert_eq!(ask(server(answer)), Ok(json!({"status": "unwell"})));
+        for (answer, part) in [
+            ("SSH-2.0", "no web server"),
+            ("HTTP/1.0 200 OK\r\n\r\n<html>", "no JSON"),
+        ] {
+            assert!(ask(server(answer)).unwrap_err().contains(part), "{answer}");
+        }
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let silent = ask(listener.local_addr().unwrap()).unwrap_err();
+        assert!(silent.starts_with("no answer from 127.0.0.1:"), "{silent}");
+    }
+
+    #[test]
+    fn a_daemon_of_another_root_is_not_this_one() {
+        let (root, other) = (Path::new("/run/a"), Path::new("/run/b"));
+        let said = json!({"root": "/run/a", "status": "ok", "sensors": [{"name": "roof"}]});
+        let this = of_this(Ok(said.clone()), root);
+        assert_eq!(sensor(&this, "roof"), Some(&json!({"name": "roof"})));
+        assert_eq!(sensor(&this, "front"), None);
+        let foreign = of_this(Ok(said), other);
+        assert!(foreign.as_ref().unwrap_err().contains("/run/a"));
+        let status = of_daemon(server(""), &foreign);
+        assert_eq!((status.level, &status.name[..]), (Level::Stale, "sweepd"));
+    }
+
+    #[test]
+    fn the_worst_is_what_a_sensor_is_said_to_be() {
+        let seen = |lost_packets, age_s| {
+            let newest = Instant::now()
+                .checked_sub(Duration::from_secs(age_s))
+                .unwrap();
+            Tally {
+                lost_packets,
+                newest: Some((header(), newest)),
+                ..Tally::default()
+            }
+        };
+        let (none, well) = (Tally::default(), seen(0, 0));
+        let unreadable = Tally {
+            trouble: Some("another user's".to_owned()),
+            ..Tally::default()
+        };
+        let fault = json!({"state": "wrong model", "reason": "an HDL-32E sends", "is_fault": true});
+        let losing = json!({"state": "losing packets", "reason": "0.1 %", "is_fault": false});
+        let streaming = json!({"state": "streaming", "reason": null, "is_fault": false});
+        for (tally, said, level, message) in [
+            (&well, None, Level::Ok, "streaming, 10.0 sweeps/s"),
+            (
+                &well,
+                Some(&streaming),
+                Level::Ok,
+                "streaming, 10.0 sweeps/s",
+            ),
+            (&well, Some(&losing), Level::Warn, "losing packets: 0.1 %"),
+            (
+                &well,
+                Some(&fault),
+                Level::Error,
+                "wrong model: an HDL-32E sends",
+            ),
+            (
+                &seen(3, 0),
+                None,
+                Level::Warn,
+                "3 packets lost and 0 datagrams dropped since the message before",
+            ),
+            (&seen(0, 5), Some(&losing), Level::Stale, "no sweep for 5 s"),
+            (&none, None, Level::Stale, "no sweep yet"),
+            (
+                &unreadable,
+                Some(&streaming),
+                Level::Error,
+                "another user's",
+            ),
+        ] {
+            let judged = judge(tally, &none, 10.0, said);
+            assert_eq!(judged, (level, message.to_owned()));
+        }
+    }
+
+    fn header() -> sweepd_core::sweep::Header {
+        sweepd_core::sweep::Header::new(&sweepd_core::sweep::layout::Shape {
+            rows: 16,
+            columns_capacity: 1,
+            dual: false,
+            segments_capacity: 0,
+        })
+    }
+}

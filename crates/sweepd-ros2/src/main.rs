@@ -1,0 +1,314 @@
+//! `sweepd-ros2`: the sweeps that a daemon shares, as topics of a ROS 2 node.
+
+#![forbid(unsafe_code)]
+
+mod bridge;
+mod health;
+mod log;
+mod names;
+mod parameters;
+mod ros_args;
+mod transforms;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Display;
+use std::io;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::Scope;
+use std::time::{Duration, Instant};
+
+use clap::Parser;
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::flag;
+use sweepd_client::client::{Client, Domain};
+use sweepd_client::publish::{NAME_RULE, is_sensor_name};
+use sweepd_messages::message_type::{DIAGNOSTIC_ARRAY, TF_MESSAGE};
+use sweepd_ros2::{Durability, Environment, Node, NodeError, Publisher};
+
+use crate::bridge::{Bridge, Seen, Topic};
+use crate::health::Diagnostics;
+use crate::names::{NodeName, Remap, token};
+use crate::parameters::Parameters;
+use crate::ros_args::{RosArgs, Source};
+use crate::transforms::Transforms;
+
+/// Between looks for a signal.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// Between searches for sensors that are new.
+const SEARCH_EVERY: Duration = Duration::from_millis(500);
+/// Between messages of `/diagnostics`.
+const DIAGNOSE_EVERY: Duration = Duration::from_secs(1);
+
+/// Publishes the sweeps that sweepd shares on the ROS 2 graph; it needs no ROS
+#[derive(Debug, Parser)]
+#[command(name = "sweepd-ros2", version, max_term_width = 100)]
+#[command(after_help = "\
+Topics of the sensor `roof`, each computed only while somebody subscribes:
+  ~/roof/points       sensor_msgs/PointCloud2, x y z intensity ring time label
+  ~/roof/ground       the same, ground alone
+  ~/roof/objects      the same, segments alone
+  ~/roof/markers      visualization_msgs/MarkerArray, a box a segment
+  ~/roof/range_image  sensor_msgs/Image, 32FC1, metres
+  ~/roof/label_image  sensor_msgs/Image, 16UC1
+  /diagnostics        diagnostic_msgs/DiagnosticArray, each second
+  /tf_static          tf2_msgs/TFMessage, where the daemon's configuration has a mount
+
+ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY and ROS_STATIC_PEERS count as in ROS. \
+What a launch file adds is taken: --ros-args with -r __node:=NAME, -r __ns:=/NAMESPACE, \
+-r TOPIC:=TOPIC, --params-file FILE, -p NAME:=VALUE.
+
+Examples:
+  sweepd-ros2                           all sensors
+  sweepd-ros2 roof --parameters ros2.yaml
+  sweepd-ros2 roof --ros-args -r ~/roof/points:=/velodyne_points -p stamp:=last")]
+struct Args {
+    /// Sensors to publish [default: `sensors` of the parameters, else all, also those that come
+    /// later]
+    #[arg(value_name = "NAME", value_parser = sensor_name)]
+    sensors: Vec<String>,
+    /// Parameters: YAML in the form of ROS, with `sensors`, `root`, `health`, `base_frame`,
+    /// `frame_id`, `stamp`, `organized`, `layout`, `fields`
+    #[arg(long, value_name = "FILE", visible_alias = "params-file")]
+    parameters: Option<PathBuf>,
+    /// Name of the node
+    #[arg(long, value_name = "NAME", default_value = "sweepd")]
+    node: String,
+    /// Its namespace
+    #[arg(long, value_name = "NAMESPACE", default_value = "/")]
+    namespace: String,
+    /// Folder by which the daemon and its consumers find each other [default: `root` of the
+    /// parameters, else $SWEEPD_ROOT, else /run/sweepd/iox2 where there is a /run/sweepd, else
+    /// /tmp/sweepd/iox2]
+    #[arg(long, value_name = "DIR")]
+    root: Option<PathBuf>,
+}
+
+/// Exit code where only other parameters help, so that a supervisor need not retry (sysexits.h).
+const EX_CONFIG: u8 = 78;
+
+/// Why the program ends, and its exit code.
+struct Failure {
+    what: String,
+    code: u8,
+}
+
+fn main() -> ExitCode {
+    let (ros, words) = match RosArgs::split(std::env::args_os()) {
+        Ok(split) => split,
+        Err(what) => {
+            log::error(what);
+            return ExitCode::from(2);
+        }
+    };
+    match run(&Args::parse_from(words), &ros) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            log::error(failure.what);
+            ExitCode::from(failure.code)
+        }
+    }
+}
+
+fn sensor_name(name: &str) -> Result<String, String> {
+    match is_sensor_name(name) {
+        true => Ok(name.to_owned()),
+        false => Err(format!("a sensor's name has {NAME_RULE}")),
+    }
+}
+
+fn run(args: &Args, ros: &RosArgs) -> Result<(), Failure> {
+    let namespace = ros.namespace.as_ref().unwrap_or(&args.namespace);
+    let name = NodeName::new(namespace, ros.node.as_ref().unwrap_or(&args.node));
+    let parameters = read_parameters(args, ros, &name)?;
+    let environment = Environment::from_env().map_err(Failure::config)?;
+    let over = end_flag().map_err(|error| Failure::cannot("handle signals", &error))?;
+    let node = Node::new(&environment, &name.namespace, &name.name)?;
+    let domain = Domain::at_or_default(parameters.root.as_deref());
+    log::info(format_args!(
+        "node {} on ROS domain {}, sweeps from {}",
+        name.full(),
+        environment.domain,
+        domain.root().display()
+    ));
+    let transforms = match &parameters.base_frame[..] {
+        "" => None,
+        base => {
+            let durability = Durability::TransientLocal;
+            let publisher = node.publisher("/tf_static", &TF_MESSAGE, durability)?;
+            Some(Transforms::new(publisher, base))
+        }
+    };
+    let diagnostics = node.publisher("/diagnostics", &DIAGNOSTIC_ARRAY, Durability::Volatile)?;
+    std::thread::scope(|scope| {
+        let sensors = Sensors {
+            scope,
+            node: &node,
+            name: &name,
+            remaps: &ros.remaps,
+            parameters: &parameters,
+            domain: &domain,
+            transforms: transforms.as_ref(),
+            over: &over,
+            bridges: BTreeMap::new(),
+            refused: BTreeSet::new(),
+        };
+        let watched = sensors.watch(Diagnostics::new(diagnostics, parameters.health));
+        // After an error too, or the threads would go on.
+        over.store(true, Ordering::Relaxed);
+        watched
+    })
+}
+
+impl Failure {
+    fn config(error: impl Display) -> Self {
+        Self {
+            what: error.to_string(),
+            code: EX_CONFIG,
+        }
+    }
+
+    fn cannot(what: &str, error: &io::Error) -> Self {
+        Self {
+            what: format!("cannot {what}: {error}"),
+            code: 1,
+        }
+    }
+}
+
+impl From<NodeError> for Failure {
+    fn from(error: NodeError) -> Self {
+        let code = match error {
+            NodeError::Name { .. } => EX_CONFIG,
+            NodeError::Domain { .. } => 1,
+        };
+        Self {
+            what: error.to_string(),
+            code,
+        }
+    }
+}
+
+fn read_parameters(args: &Args, ros: &RosArgs, node: &NodeName) -> Result<Parameters, Failure> {
+    let mut parameters = Parameters::default();
+    let file = args.parameters.clone().map(Source::File);
+    for source in file.iter().chain(&ros.parameters) {
+        let taken = match source {
+            Source::File(path) => parameters.read(path, node),
+            Source::One(name, value) => parameters.set(name, value),
+        };
+        taken.map_err(Failure::config)?;
+    }
+    if !args.sensors.is_empty() {
+        parameters.sensors.clone_from(&args.sensors);
+    }
+    if args.root.is_some() {
+        parameters.root.clone_from(&args.root);
+    }
+    Ok(parameters)
+}
+
+/// A flag that is set when the program must end; a second signal ends it at once.
+fn end_flag() -> io::Result<Arc<AtomicBool>> {
+    let over = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM, SIGHUP] {
+        flag::register_conditional_default(signal, Arc::clone(&over))?;
+        flag::register(signal, Arc::clone(&over))?;
+    }
+    Ok(over)
+}
+
+/// The sensors, each with a thread.
+struct Sensors<'scope, 'env> {
+    scope: &'scope Scope<'scope, 'env>,
+    node: &'env Node,
+    name: &'env NodeName,
+    remaps: &'env [Remap],
+    parameters: &'env Parameters,
+    domain: &'env Domain,
+    transforms: Option<&'env Transforms>,
+    over: &'env AtomicBool,
+    /// By the token in their topics.
+    bridges: BTreeMap<String, Arc<Bridge>>,
+    /// Sensors whose token another one has.
+    refused: BTreeSet<String>,
+}
+
+impl Sensors<'_, '_> {
+    /// Looks after the sensors until the program is over.
+    fn watch(mut self, mut diagnostics: Diagnostics) -> Result<(), Failure> {
+        for name in &self.parameters.sensors {
+            self.add(name)?;
+        }
+        let (mut searched, mut diagnosed) = (None, Instant::now());
+        let mut trouble = None;
+        while !self.over.load(Ordering::Relaxed) {
+            let is_due = searched.is_none_or(|at: Instant| at.elapsed() >= SEARCH_EVERY);
+            if self.parameters.sensors.is_empty() && is_due {
+                searched = Some(Instant::now());
+                self.search(&mut trouble)?;
+            }
+            if diagnosed.elapsed() >= DIAGNOSE_EVERY {
+                diagnosed += DIAGNOSE_EVERY;
+                diagnostics.publish(self.domain, self.bridges.values().map(|bridge| &**bridge));
+            }
+            std::thread::sleep(LOOK_EVERY);
+        }
+        Ok(())
+    }
+
+    /// Adds the sensors that are new. A trouble is told once.
+    fn search(&mut self, trouble: &mut Option<String>) -> Result<(), Failure> {
+        match Client::sensors(self.domain) {
+            Ok(names) => {
+                *trouble = None;
+                names.iter().try_for_each(|name| self.add(name))
+            }
+            Err(error) => {
+                let now = error.to_string();
+                if trouble.as_ref() != Some(&now) {
+                    log::warn(format_args!("{now}"));
+                    *trouble = Some(now);
+                }
+                Ok(())
+            }
+        }
+    }
+
+    fn add(&mut self, sensor: &str) -> Result<(), Failure> {
+        let token = token(sensor);
+        if let Some(other) = self.bridges.get(&token) {
+            if other.name != sensor && self.refused.insert(sensor.to_owned()) {
+                log::warn(format_args!(
+                    "{sensor}: not published: its topics would be those of {}",
+                    other.name
+                ));
+            }
+            return Ok(());
+        }
+        let publishers: Result<Vec<Publisher>, NodeError> = Topic::ALL
+            .iter()
+            .map(|topic| {
+                let name = format!("~/{token}/{}", topic.name());
+                let name = self.name.remapped(&name, self.remaps);
+                let durability = Durability::Volatile;
+                self.node.publisher(&name, topic.message_type(), durability)
+            })
+            .collect();
+        let bridge = Arc::new(Bridge {
+            name: sensor.to_owned(),
+            parameters: self.parameters.of(sensor),
+            publishers: publishers?,
+            seen: Seen::default(),
+        });
+        self.bridges.insert(token, Arc::clone(&bridge));
+        let (domain, transforms, over) = (self.domain, self.transforms, self.over);
+        std::thread::Builder::new()
+            .name(sensor.to_owned())
+            .spawn_scoped(self.scope, move || bridge.run(domain, transforms, over))
+            .map_err(|error| Failure::cannot("start a thread", &error))?;
+        Ok(())
+    }
+}

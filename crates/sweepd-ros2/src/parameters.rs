@@ -1,0 +1,637 @@
+//! The parameters of the node: YAML in the form of ROS, and `-p NAME:=VALUE` of a launch file.
+//!
+//! ```yaml
+//! /**:
+//!   ros__parameters:
+//!     stamp: first
+//!     roof: {frame_id: lidar_top}
+//! ```
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use serde::de::{Deserializer, MapAccess, SeqAccess, Visitor};
+use serde_saphyr::{Location, Spanned, UserMessageFormatter};
+use sweepd_client::publish::{NAME_RULE, is_sensor_name};
+
+use sweepd_messages::{Fields, Layout, Stamp};
+
+use crate::names::NodeName;
+
+/// Where the daemon answers unless its configuration says otherwise.
+const DAEMON_HTTP: &str = "127.0.0.1:9177";
+/// The key above the parameters of a node.
+const SECTION: &str = "ros__parameters";
+/// Parameters of the node.
+const OF_NODE: [&str; 4] = ["sensors", "root", "health", "base_frame"];
+/// Parameters of a sensor; given for the node, they hold for all sensors.
+const OF_SENSOR: [&str; 5] = ["frame_id", "stamp", "organized", "layout", "fields"];
+
+/// What the node does.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Parameters {
+    /// Sensors that are published; empty: all of the domain.
+    pub sensors: Vec<String>,
+    /// Folder by which the daemon is found, if it is not the default one.
+    pub root: Option<PathBuf>,
+    /// Where the daemon is asked for its health, if it is.
+    pub health: Option<SocketAddr>,
+    /// Frame of the robot, the parent of the sensors' frames; empty: no transforms.
+    pub base_frame: String,
+    of_all: Given,
+    of_each: BTreeMap<String, Given>,
+}
+
+/// How a sensor is published.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SensorParameters {
+    /// Frame of its messages.
+    pub frame_id: String,
+    /// Whose time is the time of a cloud.
+    pub stamp: Stamp,
+    /// Whether a cloud has rows and columns, with NaN where there is no return.
+    pub organized: bool,
+    /// What a point holds.
+    pub layout: Layout,
+}
+
+/// What a point holds, as it is written in a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum LayoutName {
+    /// `fields` says which.
+    Xyzirt,
+    Autoware,
+}
+
+/// The parameters of a sensor, as far as they were given.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+struct Given {
+    frame_id: Option<String>,
+    stamp: Option<Stamp>,
+    organized: Option<bool>,
+    layout: Option<LayoutName>,
+    fields: Option<Fields>,
+}
+
+/// Parameters that cannot be.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{place}: {what}")]
+pub struct ParameterError {
+    /// The file and the line, or the argument.
+    place: String,
+    what: String,
+}
+
+/// A value of YAML. Scalars are text: each parameter knows what it may be.
+#[derive(Clone, Debug)]
+enum Tree {
+    Scalar(String),
+    List(Vec<Spanned<Tree>>),
+    Map(Vec<(Spanned<String>, Spanned<Tree>)>),
+}
+
+impl Default for Parameters {
+    fn default() -> Self {
+        Self {
+            sensors: Vec::new(),
+            root: None,
+            health: DAEMON_HTTP.parse().ok(),
+            base_frame: "base_link".to_owned(),
+            of_all: Given::default(),
+            of_each: BTreeMap::new(),
+        }
+    }
+}
+
+impl Parameters {
+    /// The parameters of a sensor.
+    pub fn of(&self, sensor: &str) -> SensorParameters {
+        let all = &self.of_all;
+        let own = self.of_each.get(sensor).unwrap_or(all);
+        let frame_id = own.frame_id.as_ref().or(all.frame_id.as_ref());
+        let fields = own.fields.or(all.fields).unwrap_or(Fields::ALL);
+        SensorParameters {
+            frame_id: frame_id.map_or_else(|| sensor.to_owned(), String::clone),
+            stamp: own.stamp.or(all.stamp).unwrap_or(Stamp::First),
+            organized: own.organized.or(all.organized).unwrap_or(false),
+            layout: match own.layout.or(all.layout) {
+                Some(LayoutName::Autoware) => Layout::Autoware,
+                Some(LayoutName::Xyzirt) | None => Layout::Fields(fields),
+            },
+        }
+    }
+
+    /// Takes what a file says for the node.
+    ///
+    /// # Errors
+    /// [`ParameterError`]: it cannot be read, or is wrong, or says nothing for this node.
+    pub fn read(&mut self, file: &Path, node: &NodeName) -> Result<(), ParameterError> {
+        let place = file.display().to_string();
+        match std::fs::read_to_string(file) {
+            Ok(text) => self.parse(&text, &place, node),
+            Err(error) => Err(ParameterError {
+                place,
+                what: format!("cannot be read: {error}"),
+            }),
+        }
+    }
+
+    /// Takes what the text of a file says for the node.
+    fn parse(&mut self, text: &str, file: &str, node: &NodeName) -> Result<(), ParameterError> {
+        let tree = read_tree(text, file)?;
+        let mut sections = Vec::new();
+        find_sections(&tree, "", &mut sections);
+        let full = node.full();
+        let mut is_named = false;
+        for (name, section) in &sections {
+            if names(name, &full) {
+                is_named = true;
+                self.take_section(section, file)?;
+            }
+        }
+        if is_named {
+            return Ok(());
+        }
+        let found: Vec<String> = sections
+            .iter()
+            .map(|(name, _)| format!("`{name}`"))
+            .collect();
+        let what = match found.is_empty() {
+            true => format!("no `{SECTION}`: a file begins with `/**:`, and below it `{SECTION}:`"),
+            false => format!("nothing for the node {full}, only for {}", found.join(", ")),
+        };
+        Err(at(file, tree.referenced, what))
+    }
+
+    /// Takes one parameter: its name, with dots within, and its value as YAML.
+    ///
+    /// # Errors
+    /// [`ParameterError`].
+    pub fn set(&mut self, name: &str, value: &str) -> Result<(), ParameterError> {
+        let place = format!("-p {name}:={value}");
+        let tree = read_tree(value, &place);
+        let taken = tree.and_then(|tree| {
+            let taken = self.take(name, &tree);
+            taken.map_err(|wrong| wrong.at(&place, tree.referenced))
+        });
+        // The argument is one line.
+        taken.map_err(|error| ParameterError { place, ..error })
+    }
+
+    fn take_section(&mut self, section: &Spanned<Tree>, file: &str) -> Result<(), ParameterError> {
+        let Tree::Map(pairs) = &section.value else {
+            let what = "expected parameters, `name: value`".to_owned();
+            return Err(at(file, section.referenced, what));
+        };
+        for (key, value) in pairs {
+            self.take(&key.value, value)
+                .map_err(|wrong| wrong.at(file, key.referenced))?;
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, name: &str, value: &Spanned<Tree>) -> Result<(), Wrong> {
+        let wrong = |what| Wrong::value(name, value, what);
+        match name {
+            "sensors" => self.sensors = sensors(value).map_err(wrong)?,
+            "root" => self.root = optional(value).map_err(wrong)?.map(PathBuf::from),
+            "health" => self.health = health(value).map_err(wrong)?,
+            "base_frame" => self.base_frame = text(value).map_err(wrong)?,
+            // Launch files set it for all nodes. A live sensor has no simulated clock.
+            "use_sim_time" => drop(switch(value).map_err(wrong)?),
+            _ if OF_SENSOR.contains(&name) => self.of_all.take(name, value)?,
+            _ => match (&value.value, name.rsplit_once('.')) {
+                (Tree::Map(pairs), _) => {
+                    for (key, value) in pairs {
+                        let taken = self.take_of_sensor(name, &key.value, value);
+                        taken.map_err(|wrong| wrong.or_at(key.referenced))?;
+                    }
+                }
+                (_, Some((sensor, name))) => self.take_of_sensor(sensor, name, value)?,
+                (_, None) => return Err(Wrong::name(name, &[&OF_NODE[..], &OF_SENSOR].concat())),
+            },
+        }
+        Ok(())
+    }
+
+    fn take_of_sensor(
+        &mut self,
+        sensor: &str,
+        name: &str,
+        value: &Spanned<Tree>,
+    ) -> Result<(), Wrong> {
+        let own = self.of_each.entry(sensor.to_owned()).or_default();
+        own.take(name, value)
+    }
+}
+
+impl Given {
+    fn take(&mut self, name: &str, value: &Spanned<Tree>) -> Result<(), Wrong> {
+        let wrong = |what| Wrong::value(name, value, what);
+        match name {
+            "frame_id" => self.frame_id = optional(value).map_err(wrong)?,
+            "stamp" => {
+                let stamps = [("first", Stamp::First), ("last", Stamp::Last)];
+                self.stamp = Some(choice(value, &stamps).map_err(wrong)?);
+            }
+            "organized" => self.organized = Some(switch(value).map_err(wrong)?),
+            "layout" => {
+                let layouts = [
+                    ("xyzirt", LayoutName::Xyzirt),
+                    ("autoware", LayoutName::Autoware),
+                ];
+                self.layout = Some(choice(value, &layouts).map_err(wrong)?);
+            }
+            "fields" => self.fields = Some(fields(value).map_err(wrong)?),
+            _ => return Err(Wrong::name(name, &OF_SENSOR)),
+        }
+        Ok(())
+    }
+}
+
+/// What is wrong with a parameter, and where if not at its name.
+struct Wrong {
+    what: String,
+    location: Option<Location>,
+}
+
+impl Wrong {
+    fn value(name: &str, value: &Spanned<Tree>, what: String) -> Self {
+        Self {
+            what: format!("`{name}`: {what}"),
+            location: Some(value.referenced),
+        }
+    }
+
+    fn name(name: &str, known: &[&str]) -> Self {
+        let known = known.join(", ");
+        Self {
+            what: format!("unknown parameter `{name}`; known are {known}"),
+            location: None,
+        }
+    }
+
+    fn or_at(mut self, location: Location) -> Self {
+        self.location.get_or_insert(location);
+        self
+    }
+
+    fn at(self, file: &str, name: Location) -> ParameterError {
+        at(file, self.location.unwrap_or(name), self.what)
+    }
+}
+
+fn at(file: &str, location: Location, what: String) -> ParameterError {
+    ParameterError {
+        place: format!("{file}:{}", location.line().max(1)),
+        what,
+    }
+}
+
+fn text(value: &Spanned<Tree>) -> Result<String, String> {
+    match &value.value {
+        Tree::Scalar(text) => Ok(text.clone()),
+        _ => Err("expected one value".to_owned()),
+    }
+}
+
+/// A text; nothing where it is empty.
+fn optional(value: &Spanned<Tree>) -> Result<Option<String>, String> {
+    Ok(Some(text(value)?).filter(|text| !text.is_empty()))
+}
+
+fn texts(value: &Spanned<Tree>) -> Result<Vec<String>, String> {
+    match &value.value {
+        Tree::List(values) => values.iter().map(text).collect(),
+        _ => Err("expected a list, `[a, b]`".to_owned()),
+    }
+}
+
+fn switch(value: &Spanned<Tree>) -> Result<bool, String> {
+    choice(value, &[("true", true), ("false", false)])
+}
+
+fn choice<T: Copy>(value: &Spanned<Tree>, choices: &[(&str, T)]) -> Result<T, String> {
+    let text = text(value)?;
+    if let Some((_, choice)) = choices.iter().find(|(name, _)| *name == text) {
+        return Ok(*choice);
+    }
+    let names: Vec<&str> = choices.iter().map(|(name, _)| *name).collect();
+    Err(format!("expected {}, not `{text}`", names.join(" or ")))
+}
+
+fn sensors(value: &Spanned<Tree>) -> Result<Vec<String>, String> {
+    let sensors = texts(value)?;
+    match sensors.iter().find(|one| !is_sensor_name(one)) {
+        Some(odd) => Err(format!("`{odd}` is no name of a sensor: {NAME_RULE}")),
+        None => Ok(sensors),
+    }
+}
+
+fn health(value: &Spanned<Tree>) -> Result<Option<SocketAddr>, String> {
+    let Some(address) = optional(value)? else {
+        return Ok(None);
+    };
+    let wrong = |_| format!("expected IP:PORT such as {DAEMON_HTTP}, or nothing");
+    address.parse().map(Some).map_err(wrong)
+}
+
+fn fields(value: &Spanned<Tree>) -> Result<Fields, String> {
+    let names = texts(value)?;
+    Fields::of_names(names.iter().map(String::as_str)).map_err(|error| error.to_string())
+}
+
+/// Finds the sections with parameters, and the names of the nodes that they are for.
+fn find_sections<'a>(
+    tree: &'a Spanned<Tree>,
+    name: &str,
+    found: &mut Vec<(String, &'a Spanned<Tree>)>,
+) {
+    let Tree::Map(pairs) = &tree.value else {
+        return;
+    };
+    for (key, value) in pairs {
+        match &key.value[..] {
+            SECTION => found.push((name.to_owned(), value)),
+            key => find_sections(
+                value,
+                &format!("{name}/{}", key.trim_start_matches('/')),
+                found,
+            ),
+        }
+    }
+}
+
+/// Whether a section's name means the node: `*` is one token, `**` any number of them.
+fn names(section: &str, node: &str) -> bool {
+    fn fit(section: &[&str], node: &[&str]) -> bool {
+        match (section, node) {
+            (["**", rest @ ..], _) => (0..=node.len()).any(|skipped| fit(rest, &node[skipped..])),
+            ([token, rest @ ..], [own, others @ ..]) => {
+                (*token == "*" || token == own) && fit(rest, others)
+            }
+            (rest, others) => rest.is_empty() && others.is_empty(),
+        }
+    }
+    let tokens = |name| str::split(name, '/').filter(|token: &&str| !token.is_empty());
+    let (section, node): (Vec<&str>, Vec<&str>) =
+        (tokens(section).collect(), tokens(node).collect());
+    fit(&section, &node)
+}
+
+fn read_tree(text: &str, file: &str) -> Result<Spanned<Tree>, ParameterError> {
+    // Or the field `y` would be read as yes.
+    let options = serde_saphyr::options! { strict_booleans: true };
+    serde_saphyr::from_str_with_options(text, options).map_err(|error: serde_saphyr::Error| {
+        let message = error
+            .without_snippet()
+            .render_with_formatter(&UserMessageFormatter);
+        let message = message.lines().next().unwrap_or_default();
+        let what = message
+            .rsplit_once(" at line ")
+            .map_or(message, |(what, _)| what);
+        at(
+            file,
+            error.location().unwrap_or(Location::UNKNOWN),
+            what.to_owned(),
+        )
+    })
+}
+
+impl<'de> Deserialize<'de> for Tree {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct AnyTree;
+
+        impl<'de> Visitor<'de> for AnyTree {
+            type Value = Tree;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a value, a list or a map")
+            }
+
+            fn visit_unit<E>(self) -> Result<Tree, E> {
+                Ok(Tree::Scalar(String::new()))
+            }
+
+            fn visit_bool<E>(self, value: bool) -> Result<Tree, E> {
+                Ok(Tree::Scalar(value.to_string()))
+            }
+
+            fn visit_i64<E>(self, value: i64) -> Result<Tree, E> {
+                Ok(Tree::Scalar(value.to_string()))
+            }
+
+            fn visit_u64<E>(self, value: u64) -> Result<Tree, E> {
+                Ok(Tree::Scalar(value.to_string()))
+            }
+
+            fn visit_f64<E>(self, value: f64) -> Result<Tree, E> {
+                Ok(Tree::Scalar(value.to_string()))
+            }
+
+            fn visit_str<E>(self, value: &str) -> Result<Tree, E> {
+                Ok(Tree::Scalar(value.to_owned()))
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<Tree, A::Error> {
+                let mut values = Vec::new();
+                while let Some(value) = seq.next_element()? {
+                    values.push(value);
+                }
+                Ok(Tree::List(values))
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Tree, A::Error> {
+                let mut pairs = Vec::new();
+                while let Some(key) = map.next_key()? {
+                    pairs.push((key, map.next_value()?));
+                }
+                Ok(Tree::Map(pairs))
+            }
+        }
+
+        deserializer.deserialize_any(AnyTree)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn node() -> NodeName {
+        NodeName::new("/robot", "sweepd")
+    }
+
+    fn parse(text: &str) -> Result<Parameters, String> {
+        let mut parameters = Parameters::default();
+        let parsed = parameters.parse(text, "ros2.yaml", &node());
+        parsed
+            .map_err(|error| error.to_string())
+            .map(|()| parameters)
+    }
+
+    #[test]
+    fn what_is_not_given_has_its_default() {
+        let parameters = parse("/**:\n  ros__parameters: {}\n").unwrap();
+        assert_eq!(parameters, Parameters::default());
+        assert_eq!(parameters.health, Some("127.0.0.1:9177".parse().unwrap()));
+        let expected = SensorParameters {
+            frame_id: "roof".to_owned(),
+            stamp: Stamp::First,
+            organized: false,
+            layout: Layout::Fields(Fields::ALL),
+        };
+        assert_eq!(parameters.of("roof"), expected);
+    }
+
+    #[test]
+    fn a_sensor_has_its_own_and_what_holds_for_all() {
+        let text = "
+/robot/sweepd:
+  ros__parameters:
+    sensors: [roof, front-left]
+    root: /run/x
+    health: ''
+    base_frame: base
+    use_sim_time: true
+    stamp: last
+    fields: [x, y, z]
+    roof:
+      frame_id: lidar_top
+      organized: true
+      layout: autoware
+    front-left.stamp: first
+";
+        let parameters = parse(text).unwrap();
+        assert_eq!(parameters.sensors, ["roof", "front-left"]);
+        assert_eq!(parameters.root, Some(PathBuf::from("/run/x")));
+        assert_eq!(
+            (parameters.health, &parameters.base_frame[..]),
+            (None, "base")
+        );
+        let (roof, front) = (parameters.of("roof"), parameters.of("front-left"));
+        assert_eq!((roof.stamp, front.stamp), (Stamp::Last, Stamp::First));
+        assert_eq!((roof.organized, front.organized), (true, false));
+        let layouts = (Layout::Autoware, Layout::Fields(Fields::NONE));
+        assert_eq!((roof.layout, front.layout), layouts);
+        assert_eq!(
+            (&roof.frame_id[..], &front.frame_id[..]),
+            ("lidar_top", "front-left")
+        );
+    }
+
+    #[test]
+    fn sections_mean_nodes_as_in_ros() {
+        for (section, is_meant) in [
+            ("/**", true),
+            ("/**/sweepd", true),
+            ("/*/sweepd", true),
+            ("/robot/*", true),
+            ("/robot/sweepd", true),
+            ("robot/sweepd", true),
+            ("/robot/**/sweepd", true),
+            ("/*", false),
+            ("sweepd", false),
+            ("/robot/sweepd/x", false),
+            ("/other/sweepd", false),
+        ] {
+            assert_eq!(names(section, "/robot/sweepd"), is_meant, "{section}");
+        }
+        let nested = "/robot:\n  sweepd:\n    ros__parameters: {stamp: last}\n  camera:\n    ros__parameters: {rate: 3}\n";
+        assert_eq!(parse(nested).unwrap().of("roof").stamp, Stamp::Last);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_line_and_what_is_known() {
+        for (parameters, line, part) in [
+            (
+                "stmap: last",
+                3,
+                "unknown parameter `stmap`; known are sensors, root, health, base_frame, frame_id, stamp",
+            ),
+            (
+                "stamp: middle",
+                3,
+                "`stamp`: expected first or last, not `middle`",
+            ),
+            ("stamp: [last]", 3, "`stamp`: expected one value"),
+            ("organized: 1", 3, "expected true or false, not `1`"),
+            ("sensors: roof", 3, "expected a list"),
+            ("sensors: [a/b]", 3, "`a/b` is no name of a sensor: letters"),
+            ("health: nine", 3, "expected IP:PORT such as 127.0.0.1:9177"),
+            (
+                "fields: [x, colour]",
+                3,
+                "a point has no field \"colour\": fields are x, y, z, intensity, ring, time and label",
+            ),
+            ("layout: xyz", 3, "expected xyzirt or autoware"),
+            (
+                "roof:\n      frame_id: a\n      rate: 3",
+                5,
+                "unknown parameter `rate`; known are frame_id",
+            ),
+            (
+                "roof.rate: 3",
+                3,
+                "unknown parameter `rate`; known are frame_id",
+            ),
+            ("roof: {stamp: x}", 3, "expected first or last"),
+            ("stamp: {", 3, "unclosed bracket"),
+        ] {
+            let error =
+                parse(&format!("/**:\n  ros__parameters:\n    {parameters}\n")).unwrap_err();
+            assert!(
+                error.starts_with(&format!("ros2.yaml:{line}: ")) && error.contains(part),
+                "{error}"
+            );
+        }
+        for (text, part) in [
+            ("stamp: last", "no `ros__parameters`"),
+            ("", "no `ros__parameters`"),
+            (
+                "/camera:\n  ros__parameters: {}",
+                "nothing for the node /robot/sweepd, only for `/camera`",
+            ),
+            ("/**:\n  ros__parameters: 3", "expected parameters"),
+        ] {
+            assert!(
+                parse(text).unwrap_err().contains(part),
+                "{text}: {:?}",
+                parse(text)
+            );
+        }
+        let missing = Parameters::default().read(Path::new("/none.yaml"), &node());
+        assert!(
+            missing
+                .unwrap_err()
+                .to_string()
+                .starts_with("/none.yaml: cannot be read: ")
+        );
+    }
+
+    #[test]
+    fn arguments_are_parameters_too() {
+        let mut parameters = Parameters::default();
+        for (name, value) in [
+            ("stamp", "last"),
+            ("roof.frame_id", "top"),
+            ("sensors", "[roof]"),
+            ("health", ""),
+        ] {
+            parameters.set(name, value).unwrap();
+        }
+        let roof = parameters.of("roof");
+        assert_eq!((&roof.frame_id[..], roof.stamp), ("top", Stamp::Last));
+        assert_eq!((parameters.sensors.len(), parameters.health), (1, None));
+        for (name, value) in [("stamp", "x"), ("stmap", "last"), ("stamp", "[")] {
+            let error = parameters.set(name, value).unwrap_err().to_string();
+            assert!(
+                error.starts_with(&format!("-p {name}:={value}: ")),
+                "{error}"
+            );
+        }
+    }
+}

@@ -1,0 +1,113 @@
+//! The program from outside: its errors, its exit codes, its end.
+
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+/// The program on a ROS domain of its own, on this host alone.
+fn program(dds_domain: &str, words: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sweepd-ros2"));
+    command
+        .args(words)
+        .env_remove("ROS_LOCALHOST_ONLY")
+        .env_remove("ROS_STATIC_PEERS")
+        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        .env("ROS_DOMAIN_ID", dds_domain)
+        .stdin(Stdio::null());
+    command
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+#[test]
+fn what_is_wrong_is_one_line_and_an_exit_code() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("ros2.yaml");
+    std::fs::write(&file, "/**:\n  ros__parameters:\n    stmap: last\n").unwrap();
+    let file = file.to_str().unwrap();
+    for (dds_domain, words, code, part) in [
+        (
+            "140",
+            &["--parameters", file][..],
+            78,
+            "ros2.yaml:3: unknown parameter `stmap`; known are sensors",
+        ),
+        (
+            "140",
+            &["--params-file", "/none.yaml"],
+            78,
+            "/none.yaml: cannot be read",
+        ),
+        (
+            "140",
+            &["--ros-args", "-p", "stamp:=middle"],
+            78,
+            "-p stamp:=middle: `stamp`: expected first or last",
+        ),
+        (
+            "140",
+            &["--ros-args", "--parms", "x"],
+            2,
+            "unknown argument --parms of --ros-args",
+        ),
+        (
+            "140",
+            &["--node", "my-node"],
+            78,
+            "`my-node` is no name of a node",
+        ),
+        (
+            "140",
+            &["roof", "--ros-args", "-r", "~/roof/points:=/a-b"],
+            78,
+            "`/a-b` is no name of a topic",
+        ),
+        ("140", &["a/b"], 2, "a sensor's name has letters, digits"),
+        ("nine", &[], 78, "ROS_DOMAIN_ID is `nine`"),
+    ] {
+        let output = program(dds_domain, words).output().unwrap();
+        let said = said(&output);
+        let errors = said.matches("error: ").count();
+        assert!(
+            output.status.code() == Some(code) && said.contains(part) && errors == 1,
+            "{words:?}: {:?}: {said}",
+            output.status
+        );
+    }
+}
+
+#[test]
+fn it_waits_for_a_daemon_and_ends_when_told() {
+    let folder = tempfile::tempdir().unwrap();
+    for signal in ["-TERM", "-INT"] {
+        let mut child = program("141", &["roof", "--ros-args", "-r", "__ns:=/robot"])
+            .arg("--")
+            .arg("--root")
+            .arg(folder.path().join("iox2"))
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        std::thread::sleep(Duration::from_millis(500));
+        assert!(child.try_wait().unwrap().is_none(), "it waits");
+        let begun = Instant::now();
+        let pid = child.id().to_string();
+        assert!(
+            Command::new("kill")
+                .args([signal, &pid])
+                .status()
+                .unwrap()
+                .success()
+        );
+        let output = child.wait_with_output().unwrap();
+        assert!(
+            output.status.success() && begun.elapsed() < Duration::from_secs(3),
+            "{signal}"
+        );
+        assert!(
+            said(&output).starts_with("info: node /robot/sweepd on ROS domain 141"),
+            "{}",
+            said(&output)
+        );
+    }
+}
