@@ -129,3 +129,92 @@ fn resolve(peer: &str) -> Option<Ipv4Addr> {
         IpAddr::V6(_) => None,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(variables: &[(&str, &str)]) -> Result<Environment, String> {
+        let get = |name: &'static str| {
+            let found = variables.iter().find(|(other, _)| *other == name);
+            found.map(|(_, value)| value.to_string())
+        };
+        Environment::from_variables(get).map_err(|error| error.to_string())
+    }
+
+    fn environment(domain: u16, range: DiscoveryRange, peers: &[[u8; 4]]) -> Environment {
+        Environment {
+            domain,
+            range,
+            static_peers: peers.iter().copied().map(Ipv4Addr::from).collect(),
+        }
+    }
+
+    const DOMAIN: &str = "ROS_DOMAIN_ID";
+    const RANGE: &str = "ROS_AUTOMATIC_DISCOVERY_RANGE";
+    const PEERS: &str = "ROS_STATIC_PEERS";
+    const LOCALHOST: &str = "ROS_LOCALHOST_ONLY";
+
+    #[test]
+    fn variables_mean_what_they_mean_to_ros() {
+        use DiscoveryRange::{Localhost, Off, Subnet};
+        assert_eq!(read(&[]), Ok(environment(0, Subnet, &[])));
+        let all = [
+            (DOMAIN, "232"),
+            (RANGE, "LOCALHOST"),
+            (PEERS, "10.0.0.7;127.0.0.1;"),
+        ];
+        let peers = [[10, 0, 0, 7], [127, 0, 0, 1]];
+        assert_eq!(read(&all), Ok(environment(232, Localhost, &peers)));
+        let older = [(LOCALHOST, "1"), (RANGE, "SUBNET"), (PEERS, "10.0.0.7")];
+        assert_eq!(read(&older), Ok(environment(0, Localhost, &[])));
+        assert_eq!(
+            read(&[(LOCALHOST, "0"), (DOMAIN, "")]),
+            Ok(environment(0, Subnet, &[]))
+        );
+        assert_eq!(
+            read(&[(RANGE, "SYSTEM_DEFAULT")]),
+            Ok(environment(0, Subnet, &[]))
+        );
+        assert_eq!(
+            read(&[(RANGE, "OFF"), (PEERS, "10.0.0.7")]),
+            Ok(environment(0, Off, &[]))
+        );
+    }
+
+    #[test]
+    fn errors_name_the_variable_and_the_cure() {
+        let cases = [
+            (
+                DOMAIN,
+                "233",
+                "ROS_DOMAIN_ID is `233`: give a number from 0 to 232, or unset it",
+            ),
+            (
+                DOMAIN,
+                "-1",
+                "ROS_DOMAIN_ID is `-1`: give a number from 0 to 232, or unset it",
+            ),
+            (
+                RANGE,
+                "localhost",
+                "ROS_AUTOMATIC_DISCOVERY_RANGE is `localhost`: give OFF, LOCALHOST, SUBNET or \
+                 SYSTEM_DEFAULT, or unset it",
+            ),
+            (
+                LOCALHOST,
+                "yes",
+                "ROS_LOCALHOST_ONLY is `yes`: give 1 or 0, or unset it",
+            ),
+            (
+                PEERS,
+                "10.0.0.7;::1",
+                "ROS_STATIC_PEERS is `10.0.0.7;::1`: `::1` has no IPv4 address here; give \
+                 addresses, or names that this host resolves, with `;` between them",
+            ),
+        ];
+        for (variable, value, error) in cases {
+            assert_eq!(read(&[(variable, value)]), Err(error.to_owned()));
+        }
+    }
+}

@@ -25,6 +25,9 @@ const WINDOW: u64 = 256;
 /// A lease may be infinite; a participant that is gone is forgotten all the same.
 const LONGEST_LEASE: Duration = Duration::from_secs(3600);
 
+/// Seconds of an infinite time.
+const INFINITE_SECONDS: u32 = 0x7fff_ffff;
+
 /// The lease of who names none.
 const DEFAULT_LEASE: Duration = Duration::from_secs(100);
 
@@ -129,6 +132,8 @@ pub struct ReaderData {
     pub transient_local: bool,
     /// Whether it names its type's hash, as ROS 2 does since Iron.
     pub names_hash: bool,
+    /// Something that it asks for, and no writer of ours promises.
+    pub promise: Option<&'static str>,
     /// Where it gets its datagrams.
     pub place: Place,
 }
@@ -146,6 +151,7 @@ impl ReaderData {
             reliable: true,
             transient_local: true,
             names_hash: false,
+            promise: None,
             place,
         }
     }
@@ -153,9 +159,18 @@ impl ReaderData {
     fn read(payload: &[u8], participant: &ParticipantData, own: &OwnAddresses) -> Option<Self> {
         let (mut guid, mut topic, mut type_name) = (None, None, None);
         let (mut reliable, mut transient_local, mut names_hash) = (false, false, false);
+        let mut promise = None;
         let mut locators = vec![];
         for (parameter, value) in parameters::read(payload)? {
             match parameter {
+                parameters::DEADLINE if value.u32(0)? < INFINITE_SECONDS => {
+                    promise = Some("a deadline");
+                }
+                parameters::LIVELINESS
+                    if value.u32(0)? != 0 || value.u32(4)? < INFINITE_SECONDS =>
+                {
+                    promise = Some("signs of life (liveliness)");
+                }
                 parameters::ENDPOINT_GUID => guid = Guid::read(value.bytes),
                 parameters::TOPIC_NAME => topic = parameters::name(value),
                 parameters::TYPE_NAME => type_name = parameters::name(value),
@@ -180,6 +195,7 @@ impl ReaderData {
             reliable,
             transient_local,
             names_hash,
+            promise,
             place: Place::choose(locators, participant.source, own)?,
         })
     }
@@ -370,10 +386,91 @@ impl Discovery {
             .flat_map(|participant| participant.readers.values())
     }
 
+    /// How many participants and readers there are.
+    #[cfg(test)]
+    pub fn counts(&self) -> (usize, usize) {
+        let readers = self.participants.values().map(|one| one.readers.len());
+        assert_eq!(readers.sum::<usize>(), self.readers);
+        let ahead = |one: &Participant| one.subscriptions.ahead.len() as u64;
+        assert!(self.participants.values().all(|one| ahead(one) < WINDOW));
+        (self.participants.len(), self.readers)
+    }
+
     /// Where participants hear of others.
     pub fn places(&self) -> impl Iterator<Item = Place> + '_ {
         self.participants
             .values()
             .map(|participant| participant.data.meta)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn place(address: [u8; 4], near: bool) -> Option<Place> {
+        let address = SocketAddrV4::new(Ipv4Addr::from(address), 7411);
+        Some(Place { address, near })
+    }
+
+    fn choose(locators: &[[u8; 4]], source: [u8; 4]) -> Option<Place> {
+        let own = [
+            Ipv4Addr::LOCALHOST,
+            Ipv4Addr::new(10, 0, 0, 1),
+            Ipv4Addr::new(172, 17, 0, 1),
+        ];
+        let locators: Vec<SocketAddrV4> = locators
+            .iter()
+            .map(|address| SocketAddrV4::new(Ipv4Addr::from(*address), 7411))
+            .collect();
+        Place::choose(&locators, Ipv4Addr::from(source), &own)
+    }
+
+    #[test]
+    fn the_place_is_one_that_is_reached() {
+        let loopback = [127, 0, 0, 1];
+        // On this host: the loopback, or an address of ours.
+        let here = [[192, 168, 9, 9], [10, 0, 0, 1], loopback];
+        assert_eq!(choose(&here, [10, 0, 0, 1]), place(loopback, true));
+        assert_eq!(choose(&here[..2], loopback), place([10, 0, 0, 1], true));
+        // On another: not its loopback, nor an address that we have too, but that which it sends
+        // from.
+        let there = [loopback, [172, 17, 0, 1], [192, 168, 9, 9], [10, 0, 0, 7]];
+        assert_eq!(choose(&there, [10, 0, 0, 7]), place([10, 0, 0, 7], false));
+        assert_eq!(choose(&there, [8, 8, 8, 8]), place([192, 168, 9, 9], false));
+        assert_eq!(choose(&there[..2], [10, 0, 0, 7]), None);
+    }
+
+    #[test]
+    fn numbers_are_kept_in_order_and_bounded() {
+        let mut received = Received::new();
+        assert!(received.insert(1) && received.insert(3) && !received.insert(3));
+        assert!(received.missing(5).iter().eq([2, 4, 5]));
+        assert!(!received.insert(2 + WINDOW) && received.insert(1 + WINDOW));
+        assert_eq!(received.missing(1 << 61).iter().count() as u64, WINDOW - 2);
+        assert!(received.insert(2) && !received.insert(2));
+        assert_eq!(received.next, 4);
+        received.skip_to(1 << 61);
+        assert_eq!((received.next, received.ahead.len()), (1 << 61, 0));
+        assert!(received.missing(7).is_empty());
+    }
+
+    #[test]
+    fn the_silent_are_forgotten() {
+        let mut discovery = Discovery::default();
+        let start = Instant::now();
+        let data = |seconds| ParticipantData {
+            meta: place([127, 0, 0, 1], true).unwrap(),
+            user: vec![],
+            source: Ipv4Addr::LOCALHOST,
+            lease: Duration::from_secs(seconds),
+        };
+        assert!(discovery.participant([1; 12], data(10), start));
+        assert!(discovery.participant([2; 12], data(20), start));
+        assert!(!discovery.participant([2; 12], data(20), start + Duration::from_secs(5)));
+        assert!(discovery.expire(start + Duration::from_secs(10)).is_empty());
+        assert_eq!(discovery.expire(start + Duration::from_secs(11)), [[1; 12]]);
+        assert!(discovery.expire(start + Duration::from_secs(25)).is_empty());
+        assert_eq!(discovery.expire(start + Duration::from_secs(26)), [[2; 12]]);
     }
 }

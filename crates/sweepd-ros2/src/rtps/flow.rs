@@ -8,7 +8,7 @@
 
 use super::discovery::Place;
 use super::sockets::Sockets;
-use super::wire::{EntityId, Fragments, Heartbeat, Message, NumberSet, Prefix, Route};
+use super::wire::{ANY_READER, Fragments, Guid, Heartbeat, Message, NumberSet, Route};
 use super::writer::Sample;
 use socket2::{Domain, Protocol, Socket, Type};
 use std::io::{self, IoSlice, Read};
@@ -54,6 +54,13 @@ pub struct SocketMemory {
     pub size: u32,
     /// Datagrams that did not fit, since it was opened.
     pub drops: u32,
+}
+
+impl SocketMemory {
+    /// Bytes that fit now, which may be less than none.
+    fn free(self) -> f64 {
+        f64::from(self.size) - f64::from(self.queued)
+    }
 }
 
 /// Asks the kernel about sockets of this host.
@@ -157,12 +164,13 @@ fn read_answer(answer: &[u8]) -> Option<Option<SocketMemory>> {
 }
 
 /// Bytes of a buffer that a datagram takes: the kernel counts whole pages, and its own notes.
-fn buffer_bytes(datagram: usize) -> i64 {
-    match datagram {
-        0..=8192 => 8192 + 1024,
-        8193..=15_984 => 16_384 + 1024,
-        _ => datagram.next_multiple_of(4096) as i64 + 1024,
-    }
+fn buffer_bytes(datagram: usize) -> f64 {
+    let pages = match datagram {
+        0..=8192 => 8192,
+        8193..=15_984 => 16_384,
+        _ => datagram.next_multiple_of(4096),
+    };
+    (pages + 1024) as f64
 }
 
 /// The ways out of a participant.
@@ -257,36 +265,33 @@ impl Link {
         &self,
         room: &mut Room,
         transport: &Transport,
-        bytes: usize,
+        datagram: usize,
     ) -> Result<f64, Outcome> {
+        let buffer_bytes = buffer_bytes(datagram);
         if let Some(kernel) = transport.kernel.as_ref().filter(|_| self.place.near) {
-            let cost = buffer_bytes(bytes) as f64;
-            if room.bytes >= cost {
-                return Ok(cost);
+            if room.bytes >= buffer_bytes {
+                return Ok(buffer_bytes);
             }
-            match lock(kernel).ask(self.place.address) {
-                // An empty buffer takes any datagram.
-                Ok(Some(memory)) if memory.queued == 0 => {
-                    room.bytes = f64::from(memory.size).max(cost)
-                }
-                Ok(Some(memory)) => room.bytes = f64::from(memory.size) - f64::from(memory.queued),
-                Ok(None) => return Err(Outcome::Gone),
-                Err(_) => return Err(Outcome::NotNow),
+            let memory = lock(kernel).ask(self.place.address);
+            if let Ok(memory) = memory {
+                let memory = memory.ok_or(Outcome::Gone)?;
+                room.bytes = memory.free();
+                let fits = room.bytes >= buffer_bytes || memory.queued == 0;
+                return if fits {
+                    Ok(buffer_bytes)
+                } else {
+                    Err(Outcome::NotNow)
+                };
             }
-            return if room.bytes >= cost {
-                Ok(cost)
-            } else {
-                Err(Outcome::NotNow)
-            };
         }
         let (pace, at_once) = if self.place.near { NEAR_PACE } else { FAR_PACE };
         let now = Instant::now();
         let gained = now.duration_since(room.at).as_secs_f64() * pace;
         room.bytes = (room.bytes + gained).min(at_once);
         room.at = now;
-        // Into debt for one datagram: one that is larger than all at once goes too.
+        // Into debt for one datagram, or one that is larger than all at once would never go.
         if room.bytes > 0.0 {
-            Ok(bytes as f64)
+            Ok(datagram as f64)
         } else {
             Err(Outcome::NotNow)
         }
@@ -319,19 +324,27 @@ impl Pulse {
 pub struct Delivery {
     /// The way.
     pub link: Arc<Link>,
-    /// Whom it is for; none where it is for all readers there.
-    pub to: Option<Prefix>,
-    pub source: Prefix,
-    pub reader: EntityId,
-    pub writer: EntityId,
+    /// Whose sample it is.
+    pub writer: Guid,
+    /// The reader that it is for; none where it is for all readers there.
+    pub reader: Option<Guid>,
+    /// The sample.
     pub sample: Arc<Sample>,
-    /// Which form of the sample the readers take.
+    /// In which form: see [`Sample::payload`].
     pub names_hash: bool,
-    /// Fragments of this set only.
-    only: Option<NumberSet>,
-    /// The next fragment, from 1.
-    next: u32,
+    /// These of its fragments; none for all.
+    pub only: Option<NumberSet>,
+    /// What goes behind the last of them.
     pub pulse: Option<Pulse>,
+    /// How far it is.
+    pub progress: Progress,
+}
+
+/// How far a delivery is.
+#[derive(Default)]
+pub struct Progress {
+    /// Fragments that need no further look.
+    done: u32,
     waits_since: Option<Instant>,
     waited: Duration,
 }
@@ -345,46 +358,16 @@ pub enum Step {
     Waits,
     /// All of it was sent.
     Done,
-    /// The rest is not sent.
+    /// The reader made us wait for too long: the rest is not sent.
     Lost,
+    /// There is no reader any more.
+    Gone,
 }
 
 impl Delivery {
-    /// A delivery of a whole sample, or of some of its fragments.
-    pub fn new(
-        link: &Arc<Link>,
-        source: Prefix,
-        to: Option<Prefix>,
-        [reader, writer]: [EntityId; 2],
-        sample: &Arc<Sample>,
-        only: Option<NumberSet>,
-    ) -> Self {
-        Self {
-            link: Arc::clone(link),
-            to,
-            source,
-            reader,
-            writer,
-            sample: Arc::clone(sample),
-            names_hash: true,
-            only,
-            next: 1,
-            pulse: None,
-            waits_since: None,
-            waited: Duration::ZERO,
-        }
-    }
-
     /// Whether another brings the same to the same reader.
     pub fn is_same(&self, other: &Self) -> bool {
-        let key = |delivery: &Self| {
-            (
-                delivery.to,
-                delivery.reader,
-                delivery.writer,
-                delivery.sample.number,
-            )
-        };
+        let key = |delivery: &Self| (delivery.reader, delivery.writer, delivery.sample.number);
         key(self) == key(other)
     }
 
@@ -393,86 +376,78 @@ impl Delivery {
         let sample = Arc::clone(&self.sample);
         let payload = sample.payload(self.names_hash);
         let fragments = self.link.fragments(payload.len());
-        let count = fragments.count().max(1);
         let mut turn = 0;
-        while let Some(number) = self.next_fragment(count) {
+        while let Some(number) = self.next_fragment(fragments, self.progress.done) {
             if turn >= TURN_BYTES {
                 return Step::Sent;
             }
-            let from = (number as usize - 1) * fragments.fragment_bytes;
-            let part = &payload[from..(from + fragments.fragment_bytes).min(payload.len())];
-            self.next = number + 1;
-            let behind = self.behind(count);
+            let part = fragments.part(payload, number);
             let ahead = self.ahead(number, fragments, part.len());
-            let parts = [ahead.bytes(), part, &behind].map(IoSlice::new);
+            let behind = self.behind(number, fragments);
+            let parts = [ahead.bytes(), part, behind.bytes()].map(IoSlice::new);
             match self.link.send(transport, &parts) {
-                Outcome::Sent => turn += part.len(),
-                Outcome::Gone => return Step::Lost,
-                Outcome::NotNow => {
-                    self.next = number;
-                    return self.wait(turn > 0);
-                }
+                Outcome::Sent => {}
+                Outcome::NotNow if turn > 0 => return Step::Sent,
+                Outcome::NotNow => return self.wait(),
+                Outcome::Gone => return Step::Gone,
             }
-            self.waits_since = None;
+            self.progress.done = number;
+            self.progress.waits_since = None;
+            turn += part.len();
         }
         self.link.stalled.store(false, Ordering::Relaxed);
         Step::Done
     }
 
-    fn next_fragment(&self, count: u32) -> Option<u32> {
+    /// The first fragment to send behind one.
+    fn next_fragment(&self, fragments: Fragments, behind: u32) -> Option<u32> {
+        let mut left = behind + 1..=fragments.count();
         match &self.only {
-            None => (self.next <= count).then_some(self.next),
-            Some(set) => set
-                .iter()
-                .find(|number| (u64::from(self.next)..=u64::from(count)).contains(number))
-                .map(|number| number as u32),
+            None => left.next(),
+            Some(only) => left.find(|number| only.contains(u64::from(*number))),
         }
     }
 
     /// What stands before a fragment in its datagram.
     fn ahead(&self, number: u32, fragments: Fragments, bytes: usize) -> Message {
-        let mut ahead = Message::new(self.source);
-        if let Some(prefix) = self.to {
-            ahead.destination(prefix);
+        let mut ahead = Message::new(self.writer.prefix);
+        if let Some(reader) = self.reader {
+            ahead.destination(reader.prefix);
         }
         ahead.timestamp(self.sample.stamp);
         let route = Route {
-            reader: self.reader,
-            writer: self.writer,
+            reader: self.reader.map_or(ANY_READER, |reader| reader.entity),
+            writer: self.writer.entity,
             number: self.sample.number,
         };
         match self.sample.ended() {
             Some(key) => ahead.disposal(route, key, bytes),
-            None if fragments.count() <= 1 => ahead.data(route, bytes),
+            None if fragments.count() == 1 => ahead.data(route, bytes),
             None => ahead.fragment(route, number, fragments, bytes),
         }
         ahead
     }
 
     /// What stands behind it: after the last, a heartbeat.
-    fn behind(&self, count: u32) -> Vec<u8> {
-        let Some(pulse) = self
-            .pulse
-            .as_ref()
-            .filter(|_| self.next_fragment(count).is_none())
-        else {
-            return vec![];
-        };
+    fn behind(&self, number: u32, fragments: Fragments) -> Message {
         let mut behind = Message::empty();
-        behind.heartbeat(self.reader, self.writer, pulse.beat());
-        behind.into_bytes()
+        if let Some(pulse) = &self.pulse
+            && self.next_fragment(fragments, number).is_none()
+        {
+            let reader = self.reader.map_or(ANY_READER, |reader| reader.entity);
+            behind.heartbeat(reader, self.writer.entity, pulse.beat());
+        }
+        behind
     }
 
-    fn wait(&mut self, sent: bool) -> Step {
+    fn wait(&mut self) -> Step {
         let now = Instant::now();
-        if let Some(since) = self.waits_since {
-            self.waited += now.duration_since(since);
+        let progress = &mut self.progress;
+        if let Some(since) = progress.waits_since {
+            progress.waited += now.duration_since(since);
         }
-        self.waits_since = Some(now);
-        if sent {
-            return Step::Sent;
-        }
-        if self.waited > PATIENCE || self.link.stalled.load(Ordering::Relaxed) {
+        progress.waits_since = Some(now);
+        if progress.waited > PATIENCE || self.link.stalled.load(Ordering::Relaxed) {
             self.link.stalled.store(true, Ordering::Relaxed);
             return Step::Lost;
         }
@@ -489,7 +464,7 @@ pub fn turn(deliveries: &mut Vec<Delivery>, transport: &Transport) -> Vec<(Deliv
     while let Some(delivery) = deliveries.get_mut(index) {
         let step = delivery.step(transport);
         all_wait &= step == Step::Waits;
-        if matches!(step, Step::Done | Step::Lost) {
+        if matches!(step, Step::Done | Step::Lost | Step::Gone) {
             ended.push((deliveries.swap_remove(index), step));
         } else {
             index += 1;
@@ -499,4 +474,40 @@ pub fn turn(deliveries: &mut Vec<Delivery>, transport: &Transport) -> Vec<(Deliv
         thread::sleep(PAUSE);
     }
     ended
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::net::{SocketAddr, UdpSocket};
+
+    #[test]
+    fn the_kernel_says_how_full_a_socket_is() {
+        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let Ok(SocketAddr::V4(address)) = socket.local_addr() else {
+            panic!("an IPv4 address was asked for");
+        };
+        let mut kernel = Kernel::open(address).expect("the kernel has udp_diag");
+        let empty = kernel.ask(address).unwrap().unwrap();
+        assert_eq!((empty.queued, empty.drops), (0, 0));
+        // What is counted for a fragment is no less than what the kernel counts.
+        for bytes in [10, 1400, 9000, NEAR_FRAGMENT_BYTES + 100] {
+            socket.send_to(&vec![0; bytes], address).unwrap();
+            let memory = kernel.ask(address).unwrap().unwrap();
+            assert!(memory.queued > bytes as u32);
+            assert!(
+                f64::from(memory.queued) <= buffer_bytes(bytes),
+                "{bytes}: {memory:?}"
+            );
+            socket.recv(&mut vec![0; 65_536]).unwrap();
+        }
+        // And what does not fit is counted as dropped.
+        for _ in 0..40 {
+            socket.send_to(&[0; 60_000], address).unwrap();
+        }
+        let full = kernel.ask(address).unwrap().unwrap();
+        assert!(full.free() < 70_000.0 && full.drops > 0, "{full:?}");
+        drop(socket);
+        assert_eq!(kernel.ask(address).unwrap(), None);
+    }
 }

@@ -11,6 +11,7 @@ pub const VENDOR_ID: u16 = 0x16;
 pub const RELIABILITY: u16 = 0x1a;
 pub const LIVELINESS: u16 = 0x1b;
 pub const DURABILITY: u16 = 0x1d;
+pub const DEADLINE: u16 = 0x23;
 pub const USER_DATA: u16 = 0x2c;
 pub const UNICAST_LOCATOR: u16 = 0x2f;
 pub const DEFAULT_LOCATOR: u16 = 0x31;
@@ -143,12 +144,9 @@ pub fn name(value: Fields) -> Option<String> {
     Some(std::str::from_utf8(bytes).ok()?.to_owned())
 }
 
-/// What bytes with their count before them say of a key, as `typehash=...;`.
+/// Whether user data, as `typehash=...;`, has a key.
 pub fn user_data_has(value: Fields, key: &[u8]) -> bool {
-    value
-        .bytes
-        .windows(key.len())
-        .any(|part| part.eq_ignore_ascii_case(key))
+    value.bytes.windows(key.len()).any(|part| part == key)
 }
 
 /// The GUID that a list names.

@@ -100,31 +100,7 @@ impl Participant {
     /// # Errors
     /// What the system says of sockets and threads.
     pub fn new(environment: &Environment, name: &str, enclave: &str) -> io::Result<Self> {
-        let prefix = random_prefix()?;
-        let transport = Transport::new(Sockets::open(environment)?);
-        let publications = Guid {
-            prefix,
-            entity: wire::PUBLICATIONS_WRITER,
-        };
-        let publications = (None, Writer::new(publications, true, usize::MAX));
-        let state = State {
-            discovery: Discovery::default(),
-            writers: BTreeMap::from([(wire::PUBLICATIONS_WRITER, publications)]),
-            links: BTreeMap::new(),
-            addresses: sys::addresses()?,
-            warned: BTreeSet::new(),
-            entities: 0,
-            acknacks: 0,
-        };
-        let shared = Arc::new(Shared {
-            prefix,
-            environment: environment.clone(),
-            name: name.to_owned(),
-            enclave: enclave.to_owned(),
-            transport,
-            state: Mutex::new(state),
-            closed: AtomicBool::new(false),
-        });
+        let shared = Arc::new(Shared::open(environment, name, enclave)?);
         let (to_repair, repairs) = sync_channel(MAX_REPAIRS);
         let participant = Self {
             shared: Arc::clone(&shared),
@@ -287,13 +263,13 @@ fn match_reader(
                 .or_insert_with(|| Arc::new(Link::new(reader.place)));
             writer.add_reader(reader, Arc::clone(link), Instant::now(), out);
         }
-        Match::AsksMore => {
+        Match::AsksFor(what) => {
             if warned.len() < MAX_WARNINGS && warned.insert(reader.guid) {
+                let topic = offer.topic.trim_start_matches("rt/");
                 eprintln!(
-                    "a subscriber of {} at {} asks for samples from before it was there (durability \
-                     transient local), which this topic does not offer: it gets nothing until it \
-                     asks for volatile",
-                    offer.topic, reader.place.address
+                    "topic {topic}: a subscriber at {} asks for {what}, which is not offered: it \
+                     gets nothing until it asks for less",
+                    reader.place.address
                 );
             }
         }
@@ -301,6 +277,34 @@ fn match_reader(
 }
 
 impl Shared {
+    fn open(environment: &Environment, name: &str, enclave: &str) -> io::Result<Self> {
+        let prefix = random_prefix()?;
+        let transport = Transport::new(Sockets::open(environment)?);
+        let publications = Guid {
+            prefix,
+            entity: wire::PUBLICATIONS_WRITER,
+        };
+        let publications = (None, Writer::new(publications, true, usize::MAX));
+        let state = State {
+            discovery: Discovery::default(),
+            writers: BTreeMap::from([(wire::PUBLICATIONS_WRITER, publications)]),
+            links: BTreeMap::new(),
+            addresses: sys::addresses()?,
+            warned: BTreeSet::new(),
+            entities: 0,
+            acknacks: 0,
+        };
+        Ok(Self {
+            prefix,
+            environment: environment.clone(),
+            name: name.to_owned(),
+            enclave: enclave.to_owned(),
+            transport,
+            state: Mutex::new(state),
+            closed: AtomicBool::new(false),
+        })
+    }
+
     fn guid(&self, entity: EntityId) -> Guid {
         Guid {
             prefix: self.prefix,
@@ -362,7 +366,7 @@ impl Shared {
             }
             for (repair, step) in flow::turn(&mut under_way, &self.transport) {
                 let state = lock(&self.state);
-                if let Some((_, writer)) = state.writers.get(&repair.writer)
+                if let Some((_, writer)) = state.writers.get(&repair.writer.entity)
                     && step == Step::Done
                 {
                     writer.counters.repaired.fetch_add(1, Ordering::Relaxed);
@@ -388,26 +392,25 @@ impl Shared {
                         ANNOUNCEMENTS
                     };
             }
-            let mut out = Outbox::default();
             if now >= next_tick {
-                self.tick(now, &mut out);
+                self.send(self.tick(now), to_repair);
                 next_tick = now + TICK;
             }
+            self.transport.sockets.wait(TICK);
             for _ in 0..BATCH {
                 let Some((datagram, source)) = self.transport.sockets.receive(&mut buffer) else {
                     break;
                 };
-                self.receive(datagram, source, &mut out);
+                self.send(self.receive(datagram, source), to_repair);
             }
-            let idle = out.messages.is_empty() && out.repairs.is_empty();
-            self.send_messages(out.messages);
-            for repair in out.repairs {
-                // Where there is no room, the reader asks again.
-                let _ = to_repair.try_send(repair);
-            }
-            if idle {
-                self.transport.sockets.wait(TICK);
-            }
+        }
+    }
+
+    fn send(&self, out: Outbox, to_repair: &SyncSender<Delivery>) {
+        self.send_messages(out.messages);
+        for repair in out.repairs {
+            // Where there is no room, the reader asks again.
+            let _ = to_repair.try_send(repair);
         }
     }
 
@@ -417,14 +420,16 @@ impl Shared {
         }
     }
 
-    fn tick(&self, now: Instant, out: &mut Outbox) {
+    fn tick(&self, now: Instant) -> Outbox {
+        let mut out = Outbox::default();
         let mut state = lock(&self.state);
         for prefix in state.discovery.expire(now) {
             state.forget(prefix);
         }
         for (_, writer) in state.writers.values_mut() {
-            writer.tick(now, out);
+            writer.tick(now, &mut out);
         }
+        out
     }
 
     /// Says that we are there, to all that may be there. The interfaces are looked at anew.
@@ -512,18 +517,19 @@ impl Shared {
         }
     }
 
-    fn receive(&self, datagram: &[u8], source: Ipv4Addr, out: &mut Outbox) {
+    /// Takes a datagram, from anyone: what follows from it.
+    fn receive(&self, datagram: &[u8], source: Ipv4Addr) -> Outbox {
+        let mut out = Outbox::default();
         let mut state = lock(&self.state);
-        if !self.hears(source, &state.addresses) {
-            return;
+        if self.hears(source, &state.addresses)
+            && let Some(submessages) = wire::read(datagram, self.prefix)
+        {
+            let prefix = submessages.source;
+            for submessage in submessages {
+                self.take(&mut state, prefix, source, submessage, &mut out);
+            }
         }
-        let Some(submessages) = wire::read(datagram, self.prefix) else {
-            return;
-        };
-        let prefix = submessages.source;
-        for submessage in submessages {
-            self.take(&mut state, prefix, source, submessage, out);
-        }
+        out
     }
 
     fn take(
@@ -581,7 +587,7 @@ impl Shared {
             } => {
                 if let Some((missing, place)) = state.discovery.subscriptions(prefix, first, last) {
                     let message = self.acknack(state, prefix, &missing);
-                    out.messages.push((place.address, message));
+                    out.message(place.address, message);
                 }
             }
             Submessage::Gap {
@@ -613,7 +619,7 @@ impl Shared {
                     entity: reader,
                 };
                 if let Some((_, writer)) = state.writers.get_mut(&writer) {
-                    writer.nack_fragment(from, number, missing, out);
+                    writer.nack_fragment(from, number, missing, now, out);
                 }
             }
             Submessage::Data { .. } | Submessage::Heartbeat { .. } | Submessage::Gap { .. } => {}
@@ -641,10 +647,10 @@ impl Shared {
             return;
         }
         let announcement = self.announcement(&state.addresses);
-        out.messages.push((place.address, announcement));
+        out.message(place.address, announcement);
         let nothing = wire::NumberSet::new(1);
         let acknack = self.acknack(state, prefix, &nothing);
-        out.messages.push((place.address, acknack));
+        out.message(place.address, acknack);
         let reader = ReaderData::of_publications(prefix, place);
         let link = Arc::clone(
             state
@@ -656,6 +662,8 @@ impl Shared {
             publications.remove_readers(|guid| guid == reader.guid);
             publications.add_reader(&reader, link, Instant::now(), out);
         }
+        // One that was here before may have moved.
+        state.drop_unused_links();
     }
 }
 
@@ -689,5 +697,9 @@ impl State {
                 match_reader(offer, writer, reader, links, warned, out);
             }
         }
+        self.drop_unused_links();
     }
 }
+
+#[cfg(test)]
+mod tests;

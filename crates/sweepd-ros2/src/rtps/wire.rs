@@ -111,11 +111,15 @@ impl NumberSet {
         self.map[bit as usize / 32] |= 1 << (31 - bit % 32);
     }
 
+    /// Whether a number is in it.
+    pub fn contains(&self, number: u64) -> bool {
+        let bit = number.wrapping_sub(self.base);
+        bit < u64::from(self.bits) && self.map[bit as usize / 32] >> (31 - bit % 32) & 1 == 1
+    }
+
     /// The numbers, ascending.
     pub fn iter(&self) -> impl Iterator<Item = u64> + '_ {
-        (0..self.bits)
-            .filter(|bit| self.map[*bit as usize / 32] >> (31 - bit % 32) & 1 == 1)
-            .map(|bit| self.base + u64::from(bit))
+        (self.base..self.base + u64::from(self.bits)).filter(|number| self.contains(*number))
     }
 
     /// Whether there is none.
@@ -258,11 +262,6 @@ impl Message {
         &self.0
     }
 
-    /// The bytes themselves.
-    pub fn into_bytes(self) -> Vec<u8> {
-        self.0
-    }
-
     fn begin(&mut self, kind: u8, flags: u8, body: usize) {
         self.0.extend([kind, flags | LITTLE_ENDIAN]);
         // At most a fragment, which is shorter than a datagram.
@@ -362,9 +361,16 @@ pub struct Fragments {
 }
 
 impl Fragments {
-    /// How many there are.
+    /// How many there are: one at least.
     pub fn count(self) -> u32 {
-        self.sample_bytes.div_ceil(self.fragment_bytes) as u32
+        self.sample_bytes.div_ceil(self.fragment_bytes).max(1) as u32
+    }
+
+    /// The bytes of one, counted from 1; none behind the last.
+    pub fn part(self, sample: &[u8], number: u32) -> &[u8] {
+        let index = (number as usize).saturating_sub(1);
+        let part = sample.chunks(self.fragment_bytes).nth(index);
+        part.unwrap_or_default()
     }
 }
 
@@ -532,4 +538,148 @@ fn read_data(flags: u8, fields: Fields) -> Option<Submessage> {
         disposed,
         payload: if has_payload { fields.from(at)? } else { &[] },
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const OURS: Prefix = [1; 12];
+    const THEIRS: Prefix = [2; 12];
+    const READER: EntityId = [0, 0, 1, 4];
+    const WRITER: EntityId = [0, 0, 2, 3];
+
+    /// The bytes behind the header, from hexadecimal digits as the specification draws them.
+    fn behind_header(message: &Message, expected: &str) {
+        let digits: Vec<String> = message.bytes()[20..]
+            .iter()
+            .map(|byte| format!("{byte:02x}"))
+            .collect();
+        assert_eq!(digits.join(" "), expected);
+    }
+
+    fn route() -> Route {
+        Route {
+            reader: READER,
+            writer: WRITER,
+            number: 0x1_0000_0002,
+        }
+    }
+
+    #[test]
+    fn messages_have_the_bytes_of_the_specification() {
+        let header = Message::new(OURS);
+        assert_eq!(
+            header.bytes(),
+            b"RTPS\x02\x03\0\0\x01\x01\x01\x01\x01\x01\x01\x01\x01\x01\x01\x01"
+        );
+
+        let mut data = Message::to(OURS, THEIRS);
+        data.timestamp([5, 0, 0, 0, 0, 0, 0, 0x80]);
+        data.data(route(), 8);
+        behind_header(
+            &data,
+            "0e 01 0c 00 02 02 02 02 02 02 02 02 02 02 02 02 \
+             09 01 08 00 05 00 00 00 00 00 00 80 \
+             15 05 1c 00 00 00 10 00 00 00 01 04 00 00 02 03 01 00 00 00 02 00 00 00",
+        );
+
+        let mut fragment = Message::new(OURS);
+        let of = Fragments {
+            fragment_bytes: 63_000,
+            sample_bytes: 126_004,
+        };
+        assert_eq!(of.count(), 3);
+        fragment.fragment(route(), 3, of, 4);
+        behind_header(
+            &fragment,
+            "16 01 24 00 00 00 1c 00 00 00 01 04 00 00 02 03 01 00 00 00 02 00 00 00 \
+             03 00 00 00 01 00 18 f6 34 ec 01 00",
+        );
+
+        let mut heartbeat = Message::new(OURS);
+        let has = Heartbeat {
+            first: 4,
+            last: 8,
+            count: 9,
+        };
+        heartbeat.heartbeat(READER, WRITER, has);
+        behind_header(
+            &heartbeat,
+            "07 01 1c 00 00 00 01 04 00 00 02 03 00 00 00 00 04 00 00 00 \
+             00 00 00 00 08 00 00 00 09 00 00 00",
+        );
+
+        let mut gap = Message::new(OURS);
+        gap.gap(READER, WRITER, 1, 4);
+        behind_header(
+            &gap,
+            "08 01 1c 00 00 00 01 04 00 00 02 03 00 00 00 00 01 00 00 00 \
+             00 00 00 00 04 00 00 00 00 00 00 00",
+        );
+
+        // Section 9.4.2.6: 1234:/12:00110 is what misses 1236 and 1237.
+        let mut missing = NumberSet::new(1234);
+        missing.insert(1236);
+        missing.insert(1237);
+        let mut acknack = Message::new(OURS);
+        acknack.acknack(READER, WRITER, &missing, 1);
+        behind_header(
+            &acknack,
+            "06 01 1c 00 00 00 01 04 00 00 02 03 00 00 00 00 d2 04 00 00 \
+             04 00 00 00 00 00 00 30 01 00 00 00",
+        );
+
+        let mut end = Message::new(OURS);
+        let key = Guid {
+            prefix: OURS,
+            entity: WRITER,
+        };
+        end.disposal(route(), key, 0);
+        behind_header(
+            &end,
+            "15 0b 34 00 00 00 10 00 00 00 01 04 00 00 02 03 01 00 00 00 02 00 00 00 \
+             70 00 10 00 01 01 01 01 01 01 01 01 01 01 01 01 00 00 02 03 \
+             71 00 04 00 00 00 00 03 01 00 00 00",
+        );
+    }
+
+    #[test]
+    fn either_byte_order_is_read() {
+        let mut datagram = Message::new(THEIRS).bytes().to_vec();
+        // For another participant, then for us, big-endian, to the end of the datagram.
+        datagram.extend([0x0e, 1, 12, 0, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3]);
+        datagram.extend([0x07, 0, 0, 28]);
+        datagram.extend([0; 28]);
+        datagram.extend([0x0e, 0, 0, 12, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]);
+        datagram.extend([0x07, 0, 0, 0]);
+        datagram.extend([READER, WRITER, [0, 0, 0, 1], [0, 0, 0, 2]].concat());
+        datagram.extend([0, 0, 0, 1, 0, 0, 0, 3, 0, 0, 0, 7]);
+        let read: Vec<Submessage> = read(&datagram, OURS).unwrap().collect();
+        let expected = Submessage::Heartbeat {
+            writer: WRITER,
+            first: 0x1_0000_0002,
+            last: 0x1_0000_0003,
+        };
+        assert_eq!(read, [expected]);
+    }
+
+    #[test]
+    fn what_we_write_is_what_others_read() {
+        let mut missing = NumberSet::new(10);
+        for number in [10, 41, 42, 265, 266, 9] {
+            missing.insert(number);
+        }
+        assert!(missing.iter().eq([10, 41, 42, 265]));
+        let mut message = Message::new(THEIRS);
+        message.acknack(READER, WRITER, &missing, 1);
+        let read: Vec<Submessage> = read(message.bytes(), OURS).unwrap().collect();
+        let expected = Submessage::AckNack {
+            reader: READER,
+            writer: WRITER,
+            missing,
+        };
+        assert_eq!(read, [expected]);
+        assert!(super::read(message.bytes(), THEIRS).is_none());
+    }
 }

@@ -5,8 +5,8 @@
 //! gets a gap.
 
 use super::discovery::{Place, ReaderData};
-use super::flow::{Delivery, Link, Pulse, Step};
-use super::wire::{self, ANY_READER, EntityId, Guid, Message, NumberSet, Prefix, Timestamp};
+use super::flow::{Delivery, Link, Progress, Pulse, Step};
+use super::wire::{self, Guid, Message, NumberSet, Timestamp};
 use std::collections::{BTreeMap, VecDeque};
 use std::net::SocketAddrV4;
 use std::sync::atomic::{AtomicU32, AtomicU64, AtomicUsize, Ordering};
@@ -18,6 +18,12 @@ const HEARTBEAT_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Longest such time.
 const LONGEST_INTERVAL: Duration = Duration::from_secs(3);
+
+/// Shortest time between two repairs of a sample for a reader.
+const REPAIR_INTERVAL: Duration = Duration::from_millis(20);
+
+/// Messages, and repairs, that follow from one datagram or one tick.
+pub const OUTBOX: usize = 1024;
 
 /// Old buffers that are kept for new samples.
 const SPARE_BUFFERS: usize = 2;
@@ -87,8 +93,8 @@ pub enum Match {
     Yes,
     /// Another topic or type.
     No,
-    /// The reader asks for more than is offered.
-    AsksMore,
+    /// The reader asks for this, which is not offered.
+    AsksFor(&'static str),
 }
 
 impl Offer {
@@ -96,8 +102,10 @@ impl Offer {
     pub fn matches(&self, reader: &ReaderData) -> Match {
         if self.topic != reader.topic || self.type_name != reader.type_name {
             Match::No
+        } else if let Some(promise) = reader.promise {
+            Match::AsksFor(promise)
         } else if reader.transient_local && !self.transient_local {
-            Match::AsksMore
+            Match::AsksFor("messages from before it was there (durability transient local)")
         } else {
             Match::Yes
         }
@@ -126,13 +134,29 @@ pub struct ReaderCount {
     pub skipped: u64,
 }
 
-/// What is to be sent: small messages at once, samples when there is room.
+/// What is to be sent: small messages at once, samples when there is room. There is an end to
+/// what one datagram can ask for; readers ask again.
 #[derive(Default)]
 pub struct Outbox {
     /// Messages, and where they go.
     pub messages: Vec<(SocketAddrV4, Message)>,
     /// Samples that are sent again.
     pub repairs: Vec<Delivery>,
+}
+
+impl Outbox {
+    /// Adds a message.
+    pub fn message(&mut self, to: SocketAddrV4, message: Message) {
+        if self.messages.len() < OUTBOX {
+            self.messages.push((to, message));
+        }
+    }
+
+    fn repair(&mut self, repair: Delivery) {
+        if self.repairs.len() < OUTBOX {
+            self.repairs.push(repair);
+        }
+    }
 }
 
 struct Reader {
@@ -146,9 +170,22 @@ struct Reader {
     next_heartbeat: Instant,
     interval: Duration,
     skipped: u64,
+    /// When samples were last sent again: those that are still in the history.
+    repaired: BTreeMap<u64, Instant>,
 }
 
 impl Reader {
+    /// Whether a sample is to be sent again: not if that was done a moment ago. What the reader
+    /// asks for twice is on its way.
+    fn wants(&mut self, number: u64, now: Instant) -> bool {
+        let last = self.repaired.get(&number);
+        let wants = last.is_none_or(|last| now.duration_since(*last) > REPAIR_INTERVAL);
+        if wants {
+            self.repaired.insert(number, now);
+        }
+        wants
+    }
+
     fn ask_after(&mut self, interval: Duration, now: Instant) {
         self.interval = interval;
         self.next_heartbeat = now + interval;
@@ -223,42 +260,40 @@ impl Writer {
             return;
         }
         let late = self.transient_local && data.transient_local;
-        let last = self
-            .history
-            .back()
-            .map_or(self.complete, |sample| sample.number);
-        let mut reader = Reader {
+        let newest = self.history.back().map_or(0, |sample| sample.number);
+        let from = if late {
+            1
+        } else {
+            newest.max(self.complete) + 1
+        };
+        let place = link.place;
+        let reader = Reader {
             link,
             reliable: data.reliable,
             names_hash: data.names_hash,
-            from: if late { 1 } else { last.max(self.complete) + 1 },
-            acknowledged: 0,
-            next_heartbeat: now,
+            from,
+            acknowledged: from - 1,
+            next_heartbeat: now + HEARTBEAT_INTERVAL,
             interval: HEARTBEAT_INTERVAL,
             skipped: 0,
+            repaired: BTreeMap::new(),
         };
-        reader.acknowledged = reader.from - 1;
-        if late {
-            let all = self
-                .history
-                .iter()
-                .filter(|sample| sample.number <= self.complete);
-            for sample in all {
-                out.repairs
-                    .push(self.repair(data.guid, &reader, sample, None));
-            }
-            reader.ask_after(HEARTBEAT_INTERVAL, now);
-        } else if data.reliable {
-            let entities = [data.guid.entity, self.guid.entity];
-            let mut message = Message::to(self.guid.prefix, data.guid.prefix);
-            let [theirs, ours] = entities;
-            message.gap(theirs, ours, 1, reader.from);
-            let pulse = self.pulse(reader.from, reader.from - 1);
-            message.heartbeat(theirs, ours, pulse.beat());
-            out.messages.push((reader.link.place.address, message));
-        }
         self.readers.insert(data.guid, reader);
         self.reader_count_changed();
+        if late {
+            let samples: Vec<u64> = self.history.iter().map(|sample| sample.number).collect();
+            for number in samples {
+                self.repair(data.guid, number, None, now, out);
+            }
+        } else if data.reliable {
+            let mut message = Message::to(self.guid.prefix, data.guid.prefix);
+            if from > 1 {
+                message.gap(data.guid.entity, self.guid.entity, 1, from);
+            }
+            let nothing = self.pulse(from, from - 1);
+            message.heartbeat(data.guid.entity, self.guid.entity, nothing.beat());
+            out.message(place.address, message);
+        }
     }
 
     /// Readers that are no more: one, or those of a participant.
@@ -311,10 +346,8 @@ impl Writer {
                 }
                 continue;
             }
-            let mut delivery = match by_reader {
-                true => self.delivery(Some(*guid), reader, &sample, None),
-                false => self.delivery(None, reader, &sample, None),
-            };
+            let to = by_reader.then_some(*guid);
+            let mut delivery = self.delivery(to, reader, &sample);
             delivery.pulse = reader.reliable.then(pulse);
             deliveries.push(delivery);
         }
@@ -324,12 +357,14 @@ impl Writer {
     /// The sample is sent; `ended` says how each delivery did.
     pub fn finish(&mut self, ended: Vec<(Delivery, Step)>, now: Instant) {
         self.complete += 1;
+        let first = self.first();
         for reader in self.readers.values_mut() {
             reader.ask_after(HEARTBEAT_INTERVAL, now);
             let lost = ended.iter().any(|(delivery, step)| {
                 *step == Step::Lost && Arc::ptr_eq(&delivery.link, &reader.link)
             });
             reader.skipped += u64::from(lost);
+            reader.repaired = reader.repaired.split_off(&first);
         }
         if !ended.is_empty() {
             self.counters.written.fetch_add(1, Ordering::Relaxed);
@@ -372,84 +407,91 @@ impl Writer {
         });
     }
 
-    fn delivery(
-        &self,
-        to: Option<Guid>,
-        reader: &Reader,
-        sample: &Arc<Sample>,
-        only: Option<NumberSet>,
-    ) -> Delivery {
-        let entity = to.map_or(ANY_READER, |guid| guid.entity);
-        let prefix: Option<Prefix> = to.map(|guid| guid.prefix);
-        let entities: [EntityId; 2] = [entity, self.guid.entity];
-        let mut delivery = Delivery::new(
-            &reader.link,
-            self.guid.prefix,
-            prefix,
-            entities,
-            sample,
-            only,
-        );
-        delivery.names_hash = reader.names_hash;
-        delivery
+    /// A sample for a reader alone, or for all that are where it is.
+    fn delivery(&self, to: Option<Guid>, reader: &Reader, sample: &Arc<Sample>) -> Delivery {
+        Delivery {
+            link: Arc::clone(&reader.link),
+            writer: self.guid,
+            reader: to,
+            sample: Arc::clone(sample),
+            names_hash: reader.names_hash,
+            only: None,
+            pulse: None,
+            progress: Progress::default(),
+        }
     }
 
+    /// Sends a sample again, or some of its fragments; says no where it is no longer there.
     fn repair(
-        &self,
+        &mut self,
         to: Guid,
-        reader: &Reader,
-        sample: &Arc<Sample>,
+        number: u64,
         only: Option<NumberSet>,
-    ) -> Delivery {
-        let mut repair = self.delivery(Some(to), reader, sample, only);
-        repair.pulse = reader.reliable.then(|| {
-            self.pulse(
-                self.first().max(reader.from).min(self.complete + 1),
-                self.complete,
-            )
-        });
-        repair
+        now: Instant,
+        out: &mut Outbox,
+    ) -> bool {
+        let mut whole = self
+            .history
+            .iter()
+            .take_while(|sample| sample.number <= self.complete);
+        let Some(sample) = whole.find(|sample| sample.number == number).cloned() else {
+            return false;
+        };
+        let first = self.first();
+        let Some(reader) = self.readers.get_mut(&to) else {
+            return true;
+        };
+        if reader.wants(number, now) {
+            let pulse = reader
+                .reliable
+                .then_some([first.max(reader.from), self.complete]);
+            let mut repair = self.delivery(Some(to), &self.readers[&to], &sample);
+            repair.only = only;
+            repair.pulse = pulse.map(|[first, last]| self.pulse(first, last));
+            out.repair(repair);
+        }
+        true
     }
 
     /// A reader says what it misses: it gets that again, or hears that it never will.
     pub fn acknack(&mut self, from: Guid, missing: &NumberSet, now: Instant, out: &mut Outbox) {
-        let complete = self.complete;
-        let first = self.first();
+        let (first, last) = (self.first(), self.complete);
         let Some(reader) = self.readers.get_mut(&from) else {
             return;
         };
-        let has = missing.base.saturating_sub(1).min(complete);
+        let has = missing.base.saturating_sub(1).min(last);
         reader.acknowledged = reader.acknowledged.max(has);
         reader.ask_after(HEARTBEAT_INTERVAL, now);
         let first = first.max(reader.from);
-        let reader = &self.readers[&from];
+        let to = reader.link.place.address;
         let mut gaps = Message::to(self.guid.prefix, from.prefix);
         let empty = gaps.bytes().len();
-        let wanted = missing.iter().filter(|number| *number <= complete);
-        let (never, wanted): (Vec<u64>, Vec<u64>) = wanted.partition(|number| *number < first);
-        if let Some(oldest) = never.first() {
-            gaps.gap(from.entity, self.guid.entity, (*oldest).max(1), first);
-        }
-        for number in wanted {
-            match self.history.iter().find(|sample| sample.number == number) {
-                Some(sample) => out.repairs.push(self.repair(from, reader, sample, None)),
-                None => gaps.gap(from.entity, self.guid.entity, number, number + 1),
+        let mut told_of = 0;
+        for number in missing.iter().filter(|number| (1..=last).contains(number)) {
+            let end = if number < first { first } else { number + 1 };
+            let gone = number < first || !self.repair(from, number, None, now, out);
+            if gone && number >= told_of {
+                gaps.gap(from.entity, self.guid.entity, number, end);
+                told_of = end;
             }
         }
         if gaps.bytes().len() > empty {
-            out.messages.push((reader.link.place.address, gaps));
+            out.message(to, gaps);
         }
     }
 
     /// A reader says which fragments of a sample it misses.
-    pub fn nack_fragment(&mut self, from: Guid, number: u64, missing: NumberSet, out: &mut Outbox) {
-        let Some(reader) = self.readers.get(&from) else {
-            return;
-        };
-        let found = self.history.iter().find(|sample| sample.number == number);
-        if let Some(sample) = found.filter(|_| number <= self.complete && number >= reader.from) {
-            out.repairs
-                .push(self.repair(from, reader, sample, Some(missing)));
+    pub fn nack_fragment(
+        &mut self,
+        from: Guid,
+        number: u64,
+        missing: NumberSet,
+        now: Instant,
+        out: &mut Outbox,
+    ) {
+        let known = self.readers.get(&from);
+        if known.is_some_and(|reader| number >= reader.from) {
+            self.repair(from, number, Some(missing), now, out);
         }
     }
 
@@ -464,7 +506,7 @@ impl Writer {
             reader.ask_after((reader.interval * 2).min(LONGEST_INTERVAL), now);
             let mut message = Message::to(self.guid.prefix, guid.prefix);
             message.heartbeat(guid.entity, self.guid.entity, pulse.beat());
-            out.messages.push((reader.link.place.address, message));
+            out.message(reader.link.place.address, message);
         }
     }
 

@@ -1,0 +1,244 @@
+//! Datagrams of anyone: no panic, and no more state than there is room for.
+
+use super::*;
+use crate::rtps::discovery::{MAX_PARTICIPANTS, MAX_READERS};
+use crate::rtps::wire::{Heartbeat, NumberSet};
+use crate::rtps::writer::OUTBOX;
+use proptest::collection::vec;
+use proptest::prelude::*;
+
+const TOPIC: &str = "rt/points";
+const TYPE: &str = "sensor_msgs::msg::dds_::PointCloud2_";
+
+/// A participant that hears nothing but what a test gives it, with samples 3 to 7 of a topic.
+fn deaf(domain: u16) -> (Participant, WriterHandle) {
+    let environment = Environment {
+        domain,
+        range: DiscoveryRange::Localhost,
+        static_peers: vec![],
+    };
+    let participant = Participant {
+        shared: Arc::new(Shared::open(&environment, "test", "/").unwrap()),
+        threads: Mutex::default(),
+    };
+    let writer = participant.add_writer(Offer {
+        topic: TOPIC.to_owned(),
+        type_name: TYPE.to_owned(),
+        type_hash: "RIHS01_0",
+        transient_local: true,
+        depth: 5,
+    });
+    for _ in 0..7 {
+        participant.write(&writer, Body::Same(vec![0; 200_000]));
+    }
+    (participant, writer)
+}
+
+/// "I am here."
+fn participant_data(prefix: Prefix) -> Message {
+    let mut list = ParameterList::new();
+    for parameter in [parameters::METATRAFFIC_LOCATOR, parameters::DEFAULT_LOCATOR] {
+        list.locator(parameter, SocketAddrV4::new(Ipv4Addr::LOCALHOST, 9));
+    }
+    list.numbers(parameters::PARTICIPANT_LEASE, &[20, 0]);
+    data(prefix, wire::PARTICIPANTS_WRITER, 1, &list.end())
+}
+
+/// "I have a reader."
+fn reader_data(prefix: Prefix, number: u64, reader: u16) -> Message {
+    let [high, low] = reader.to_be_bytes();
+    let guid = Guid {
+        prefix,
+        entity: [0, high, low, 4],
+    };
+    let mut list = ParameterList::new();
+    list.put(parameters::ENDPOINT_GUID, &guid.bytes());
+    list.string(parameters::TOPIC_NAME, TOPIC);
+    list.string(parameters::TYPE_NAME, TYPE);
+    list.numbers(parameters::RELIABILITY, &[2, 0, 0]);
+    list.numbers(parameters::DURABILITY, &[1]);
+    data(prefix, wire::SUBSCRIPTIONS_WRITER, number, &list.end())
+}
+
+fn data(prefix: Prefix, writer: EntityId, number: u64, payload: &[u8]) -> Message {
+    let mut message = Message::new(prefix);
+    let route = Route {
+        reader: wire::ANY_READER,
+        writer,
+        number,
+    };
+    message.data(route, payload.len());
+    message.payload(payload);
+    message
+}
+
+/// Datagrams that make sense to the participant, of each kind that it takes.
+fn sensible(writer: Guid) -> Vec<Vec<u8>> {
+    let prefix = [7; 12];
+    let reader = [0, 0, 1, 4];
+    let mut missing = NumberSet::new(1);
+    for number in [1, 4, 7, 9, 200] {
+        missing.insert(number);
+    }
+    let mut others = Message::new(prefix);
+    others.destination(writer.prefix);
+    let heartbeat = Heartbeat {
+        first: 1,
+        last: 300,
+        count: 1,
+    };
+    others.heartbeat(
+        wire::SUBSCRIPTIONS_READER,
+        wire::SUBSCRIPTIONS_WRITER,
+        heartbeat,
+    );
+    others.gap(
+        wire::SUBSCRIPTIONS_READER,
+        wire::SUBSCRIPTIONS_WRITER,
+        5,
+        90,
+    );
+    others.acknack(reader, writer.entity, &missing, 1);
+    others.acknack(
+        wire::PUBLICATIONS_READER,
+        wire::PUBLICATIONS_WRITER,
+        &missing,
+        1,
+    );
+    // NACK_FRAG of sample 5: fragments 1 and 3 of 4.
+    others.payload(&[0x12, 1, 32, 0]);
+    others.payload(&[reader, writer.entity].concat());
+    others.payload(&[
+        0, 0, 0, 0, 5, 0, 0, 0, 1, 0, 0, 0, 3, 0, 0, 0, 0, 0, 0, 0xa0, 1, 0, 0, 0,
+    ]);
+    let mut ended = Message::new(prefix);
+    let key = Guid {
+        prefix,
+        entity: reader,
+    };
+    let route = Route {
+        reader: wire::ANY_READER,
+        writer: wire::SUBSCRIPTIONS_WRITER,
+        number: 2,
+    };
+    ended.disposal(route, key, 0);
+    [
+        participant_data(prefix),
+        reader_data(prefix, 1, 1),
+        others,
+        ended,
+    ]
+    .iter()
+    .map(|message| message.bytes().to_vec())
+    .collect()
+}
+
+/// Takes a datagram, and sees that there is an end to what it makes us do and keep.
+fn take(participant: &Participant, datagram: &[u8]) -> Outbox {
+    let out = participant.shared.receive(datagram, Ipv4Addr::LOCALHOST);
+    assert!(out.messages.len() <= OUTBOX && out.repairs.len() <= OUTBOX);
+    let bytes: usize = out
+        .messages
+        .iter()
+        .map(|(_, message)| message.bytes().len())
+        .sum();
+    assert!(bytes < 16 << 20, "{bytes} bytes of answers");
+    let state = lock(&participant.shared.state);
+    let (participants, readers) = state.discovery.counts();
+    assert!(participants <= MAX_PARTICIPANTS && readers <= MAX_READERS);
+    assert!(state.links.len() <= participants + readers);
+    assert!(state.warned.len() <= MAX_WARNINGS);
+    out
+}
+
+#[test]
+fn sensible_datagrams_are_understood() {
+    let (participant, writer) = deaf(208);
+    let [here, reads, others, ended] = sensible(writer.guid).try_into().unwrap();
+    // That we are there too, and that we have heard of no reader; and both writers' history.
+    let out = take(&participant, &here);
+    assert_eq!((out.messages.len(), out.repairs.len()), (2, 1));
+    let out = take(&participant, &reads);
+    assert_eq!((out.messages.len(), out.repairs.len()), (0, 5));
+    assert_eq!(writer.counters.readers.load(Ordering::Relaxed), 1);
+    thread::sleep(Duration::from_millis(30));
+    // An answer to the heartbeat and a gap; samples 4, 7, part of 5, and 1 of the publications.
+    let out = take(&participant, &others);
+    assert_eq!((out.messages.len(), out.repairs.len()), (2, 4));
+    take(&participant, &ended);
+    assert_eq!(writer.counters.readers.load(Ordering::Relaxed), 0);
+}
+
+#[test]
+fn any_datagram_does_no_harm() {
+    let (participant, writer) = deaf(209);
+    let sensible = sensible(writer.guid);
+    let header = sensible[0][..20].to_vec();
+    proptest!(|(bytes in vec(any::<u8>(), 0..400))| {
+        take(&participant, &bytes);
+        take(&participant, &[header.as_slice(), &bytes].concat());
+    });
+    let changes = vec((any::<prop::sample::Index>(), any::<u8>()), 0..6);
+    let one = (
+        0..sensible.len(),
+        changes,
+        any::<prop::sample::Index>(),
+        any::<bool>(),
+    );
+    proptest!(ProptestConfig::with_cases(3000), |(datagrams in vec(one, 1..8))| {
+        for (which, changes, end, cut) in datagrams {
+            let mut datagram = sensible[which].clone();
+            for (at, value) in changes {
+                let at = at.index(datagram.len());
+                datagram[at] = value;
+            }
+            if cut {
+                datagram.truncate(end.index(datagram.len()));
+            }
+            take(&participant, &datagram);
+        }
+    });
+}
+
+#[test]
+fn a_flood_fills_what_there_is_room_for() {
+    let (participant, _writer) = deaf(210);
+    let prefix = |number: u32| {
+        let mut prefix = [9; 12];
+        prefix[..4].copy_from_slice(&number.to_le_bytes());
+        prefix
+    };
+    for number in 0..1000 {
+        take(&participant, participant_data(prefix(number)).bytes());
+    }
+    for number in 0..6000_u16 {
+        let message = reader_data(prefix(0), 1 + u64::from(number), number);
+        participant
+            .shared
+            .receive(message.bytes(), Ipv4Addr::LOCALHOST);
+    }
+    take(&participant, &[]);
+    let counts = lock(&participant.shared.state).discovery.counts();
+    assert_eq!(counts, (MAX_PARTICIPANTS, MAX_READERS));
+    // All asked at once in one datagram.
+    let mut asking = Message::new(prefix(0));
+    let mut missing = NumberSet::new(1);
+    (1..=256).for_each(|number| missing.insert(number));
+    while asking.bytes().len() < 65_000 {
+        asking.acknack([0, 0, 1, 4], [0, 0, 1, 3], &missing, 1);
+    }
+    take(&participant, asking.bytes());
+}
+
+#[test]
+fn others_are_not_heard_where_they_must_not_be() {
+    let (participant, _writer) = deaf(211);
+    let stranger = Ipv4Addr::new(203, 0, 113, 9);
+    let here = participant_data([7; 12]);
+    participant.shared.receive(here.bytes(), stranger);
+    assert_eq!(lock(&participant.shared.state).discovery.counts(), (0, 0));
+    participant
+        .shared
+        .receive(here.bytes(), Ipv4Addr::LOCALHOST);
+    assert_eq!(lock(&participant.shared.state).discovery.counts(), (1, 0));
+}
