@@ -3,7 +3,7 @@
 //! The kernel drops what does not fit into the buffer of a reader's socket, without a word. On this
 //! host the kernel says how full that is (`NETLINK_SOCK_DIAG`, sock_diag(7)); so a fragment is sent
 //! when it fits. A reader that makes us wait longer than [`PATIENCE`] in one sample loses the rest of
-//! it, and gets no patience until it takes a sample whole. Where the kernel cannot say, the pace is
+//! it, and gets no patience until its buffer is half free. Where the kernel cannot say, the pace is
 //! fixed. Readers wait for none of the others: deliveries take turns.
 
 use super::discovery::Place;
@@ -13,7 +13,7 @@ use super::writer::Sample;
 use socket2::{Domain, Protocol, Socket, Type};
 use std::io::{self, IoSlice, Read};
 use std::net::SocketAddrV4;
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -199,14 +199,14 @@ pub struct Link {
     /// Where it ends.
     pub place: Place,
     room: Mutex<Room>,
-    /// Someone waited in vain for the reader.
-    stalled: AtomicBool,
 }
 
 /// What may be sent now, in bytes; it was right at that moment.
 struct Room {
     bytes: f64,
     at: Instant,
+    /// Someone waited in vain, and the buffer was not half free since.
+    stalled: bool,
 }
 
 /// What became of a datagram.
@@ -223,11 +223,11 @@ impl Link {
         let room = Room {
             bytes: 0.0,
             at: Instant::now(),
+            stalled: false,
         };
         Self {
             place,
             room: Mutex::new(room),
-            stalled: AtomicBool::new(false),
         }
     }
 
@@ -276,6 +276,7 @@ impl Link {
             if let Ok(memory) = memory {
                 let memory = memory.ok_or(Outcome::Gone)?;
                 room.bytes = memory.free();
+                room.stalled &= room.bytes < f64::from(memory.size) / 2.0;
                 let fits = room.bytes >= buffer_bytes || memory.queued == 0;
                 return if fits {
                     Ok(buffer_bytes)
@@ -289,6 +290,7 @@ impl Link {
         let gained = now.duration_since(room.at).as_secs_f64() * pace;
         room.bytes = (room.bytes + gained).min(at_once);
         room.at = now;
+        room.stalled &= room.bytes < at_once / 2.0;
         // Into debt for one datagram, or one that is larger than all at once would never go.
         if room.bytes > 0.0 {
             Ok(datagram as f64)
@@ -395,7 +397,6 @@ impl Delivery {
             self.progress.waits_since = None;
             turn += part.len();
         }
-        self.link.stalled.store(false, Ordering::Relaxed);
         Step::Done
     }
 
@@ -447,11 +448,13 @@ impl Delivery {
             progress.waited += now.duration_since(since);
         }
         progress.waits_since = Some(now);
-        if progress.waited > PATIENCE || self.link.stalled.load(Ordering::Relaxed) {
-            self.link.stalled.store(true, Ordering::Relaxed);
-            return Step::Lost;
+        let mut room = lock(&self.link.room);
+        room.stalled |= progress.waited > PATIENCE;
+        if room.stalled {
+            Step::Lost
+        } else {
+            Step::Waits
         }
-        Step::Waits
     }
 }
 

@@ -262,7 +262,8 @@ impl Peer {
         })
     }
 
-    fn take(&mut self) {
+    /// Takes a datagram, if there is one soon.
+    pub fn take(&mut self) {
         let mut buffer = vec![0; 65_536];
         let Ok((bytes, std::net::SocketAddr::V4(from))) = self.socket.recv_from(&mut buffer) else {
             return;
