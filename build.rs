@@ -28,6 +28,7 @@ fn tell_what_is_missing() {
     let found = [
         ("captures", data.join("pcap").is_dir()),
         ("python", std::env::var_os("SWEEPD_PYTHON").is_some()),
+        ("rosbags", std::env::var_os("SWEEPD_ROS_PYTHON").is_some()),
         (
             "root",
             is_root && has("unshare") && has("ip") && has("setpriv"),
@@ -36,7 +37,7 @@ fn tell_what_is_missing() {
         ("strace", has("strace")),
         ("systemd", has("systemd-analyze")),
     ];
-    for variable in ["SWEEPD_DATA", "SWEEPD_PYTHON", "CI"] {
+    for variable in ["SWEEPD_DATA", "SWEEPD_PYTHON", "SWEEPD_ROS_PYTHON", "CI"] {
         println!("cargo:rerun-if-env-changed={variable}");
     }
     let is_ci = env("CI") == "true";

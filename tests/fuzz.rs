@@ -181,6 +181,8 @@ fuzz! {
     position_packet: 2000 rounds, 8 MiB;
     status_stream: 2000 rounds, 8 MiB;
     capture: 2000 rounds, 32 MiB;
+    bag: 2000 rounds, 32 MiB;
+    database: 500 rounds, 32 MiB;
     frame: 2000 rounds, 8 MiB;
     db_xml: 500 rounds, 8 MiB;
     ros_yaml: 500 rounds, 8 MiB;

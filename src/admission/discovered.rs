@@ -2,7 +2,7 @@
 //!
 //! A sensor is a sender of data packets: its address and port, and the port that it sends to. The
 //! length of a datagram decides what it is, 1206 bytes for data or 512 for position, since bridges
-//! and port forwards mix the ports.
+//! and port forwards mix the ports. In a bag a topic is a sender.
 
 use std::net::SocketAddr;
 
@@ -23,7 +23,7 @@ pub struct Sender {
     /// The port that it sends data to.
     pub destination_port: u16,
     /// Its name in output: `192.168.1.201:2368`, and `192.168.1.201:2368>2369` for a later one from
-    /// the same port.
+    /// the same port. Of a bag, the topic: `/velodyne_packets`.
     pub name: String,
     /// Data packets of it.
     pub packets: u64,
@@ -34,7 +34,15 @@ pub struct Sender {
 impl Sender {
     /// Whether a filter selects it.
     pub fn is_selected_by(&self, filter: &SensorFilter) -> bool {
-        filter.matches(self.source, self.destination_port)
+        filter.matches(self.source, self.destination_port) || filter.matches_topic(&self.name)
+    }
+
+    /// Where its packets come from, for people.
+    pub fn origin(&self) -> String {
+        if self.name.starts_with('/') {
+            return self.name.clone();
+        }
+        format!("{} to port {}", self.source, self.destination_port)
     }
 }
 
@@ -76,7 +84,19 @@ impl DiscoveredSensors {
     /// [`Refused`]: it is not a packet, or not of a selected sensor. With [`Refusal::TooMany`] it
     /// is a valid packet.
     pub fn admit<'a>(&mut self, datagram: &Datagram<'a>) -> Result<(Route, Packet<'a>), Refused> {
-        let admitted = self.find(datagram);
+        self.admit_from(datagram, None)
+    }
+
+    /// As [`DiscoveredSensors::admit`], of a datagram that may come from a topic of a bag.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn admit_from<'a>(
+        &mut self,
+        datagram: &Datagram<'a>,
+        topic: Option<&str>,
+    ) -> Result<(Route, Packet<'a>), Refused> {
+        let admitted = self.find(datagram, topic);
         match &admitted {
             Ok((Route::Data(index), _)) => self.senders[*index].packets += 1,
             Ok((Route::Position(_), _)) => self.positions += 1,
@@ -133,7 +153,11 @@ impl DiscoveredSensors {
         self.refusals.total() - malformed
     }
 
-    fn find<'a>(&mut self, datagram: &Datagram<'a>) -> Result<(Route, Packet<'a>), Refused> {
+    fn find<'a>(
+        &mut self,
+        datagram: &Datagram<'a>,
+        topic: Option<&str>,
+    ) -> Result<(Route, Packet<'a>), Refused> {
         let source = canonical(datagram.source);
         let known = self.known(source, datagram.destination_port);
         let packet = datagram.parse().map_err(|error| {
@@ -146,7 +170,10 @@ impl DiscoveredSensors {
         let route = match &packet.content {
             Content::Data(data) => match known {
                 Some(index) => Route::Data(index),
-                None => Route::Data(self.discover(source, datagram.destination_port, data)?),
+                None => {
+                    let port = datagram.destination_port;
+                    Route::Data(self.discover(source, port, topic, data)?)
+                }
             },
             Content::Position(..) => {
                 self.keep(source, datagram.destination_port, &packet)?;
@@ -166,16 +193,17 @@ impl DiscoveredSensors {
         &mut self,
         source: SocketAddr,
         destination_port: u16,
+        topic: Option<&str>,
         packet: &DataPacket,
     ) -> Result<usize, Refused> {
         // Packets of all models begin with one of these; a damaged packet must not create a sensor.
         if !matches!(packet.blocks[0].flag.get(), FLAG_BANK_0 | FLAG_BANK_1) {
             return Err(Refusal::Marker.into());
         }
-        let is_selected = self
-            .filters
-            .iter()
-            .any(|filter| filter.matches(source, destination_port));
+        let is_selected = self.filters.iter().any(|filter| match topic {
+            Some(topic) => filter.matches_topic(topic),
+            None => filter.matches(source, destination_port),
+        });
         if !is_selected && !self.filters.is_empty() {
             return Err(Refusal::Source.into());
         }
@@ -183,10 +211,10 @@ impl DiscoveredSensors {
             return Err(Refusal::TooMany.into());
         }
         let shares_source = self.senders.iter().any(|sender| sender.source == source);
-        let name = if shares_source {
-            format!("{source}>{destination_port}")
-        } else {
-            source.to_string()
+        let name = match topic {
+            Some(topic) => topic.to_owned(),
+            None if shares_source => format!("{source}>{destination_port}"),
+            None => source.to_string(),
         };
         self.senders.push(Sender {
             source,

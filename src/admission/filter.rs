@@ -3,45 +3,72 @@
 use std::net::{IpAddr, SocketAddr};
 use std::str::FromStr;
 
-/// Selects sensors: all at an address, those that send from one port, or also to one port.
+/// Selects sensors: all at an address, those that send from one port, or also to one port; in a
+/// bag, that of a topic.
 ///
 /// ```
 /// use sweepd::admission::SensorFilter;
 /// let filter: SensorFilter = "192.168.1.201".parse().unwrap();
 /// assert!(filter.matches("192.168.1.201:2368".parse().unwrap(), 2368));
 /// ```
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SensorFilter {
-    ip: IpAddr,
-    source_port: Option<u16>,
-    destination_port: Option<u16>,
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SensorFilter(Selection);
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Selection {
+    Address {
+        ip: IpAddr,
+        source_port: Option<u16>,
+        destination_port: Option<u16>,
+    },
+    Topic(String),
 }
 
 impl SensorFilter {
     /// Whether a sensor with this source that sends data to this port is selected.
     pub fn matches(&self, source: SocketAddr, destination_port: u16) -> bool {
-        self.matches_ip(source.ip())
-            && self.source_port.is_none_or(|port| port == source.port())
-            && self
-                .destination_port
-                .is_none_or(|port| port == destination_port)
+        match self.0 {
+            Selection::Address {
+                ip,
+                source_port,
+                destination_port: to,
+            } => {
+                ip == source.ip().to_canonical()
+                    && source_port.is_none_or(|port| port == source.port())
+                    && to.is_none_or(|port| port == destination_port)
+            }
+            Selection::Topic(_) => false,
+        }
+    }
+
+    /// Whether the sensor of this topic is selected.
+    pub fn matches_topic(&self, topic: &str) -> bool {
+        matches!(&self.0, Selection::Topic(own) if own == topic)
     }
 
     /// Whether a sensor at this address may be selected. For position packets, which come from
     /// another port.
-    pub fn matches_ip(&self, ip: IpAddr) -> bool {
-        self.ip == ip.to_canonical()
+    pub fn matches_ip(&self, address: IpAddr) -> bool {
+        matches!(self.0, Selection::Address { ip, .. } if ip == address.to_canonical())
     }
 }
 
 impl std::fmt::Display for SensorFilter {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self.source_port {
-            Some(port) => write!(f, "{}", SocketAddr::new(self.ip, port))?,
-            None => write!(f, "{}", self.ip)?,
+        match &self.0 {
+            Selection::Topic(topic) => f.write_str(topic),
+            Selection::Address {
+                ip,
+                source_port,
+                destination_port,
+            } => {
+                match source_port {
+                    Some(port) => write!(f, "{}", SocketAddr::new(*ip, *port))?,
+                    None => write!(f, "{ip}")?,
+                }
+                destination_port.map_or(Ok(()), |port| write!(f, ">{port}"))
+            }
         }
-        self.destination_port
-            .map_or(Ok(()), |port| write!(f, ">{port}"))
     }
 }
 
@@ -49,7 +76,7 @@ impl std::fmt::Display for SensorFilter {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "`{0}` names no sensor; expected IP, IP:PORT or IP:PORT>PORT as in the output, such as 192.168.1.201 or \
-     192.168.1.201:2368, with an IPv6 address in brackets before a port"
+     192.168.1.201:2368, with an IPv6 address in brackets before a port; or a topic of a bag, such as /velodyne_packets"
 )]
 pub struct SensorFilterError(String);
 
@@ -63,23 +90,26 @@ impl FromStr for SensorFilter {
 
 impl SensorFilter {
     fn parse(text: &str) -> Option<Self> {
+        if text.starts_with('/') {
+            return Some(Self(Selection::Topic(text.to_owned())));
+        }
         if let Ok(ip) = text.parse::<IpAddr>() {
-            return Some(Self {
+            return Some(Self(Selection::Address {
                 ip: ip.to_canonical(),
                 source_port: None,
                 destination_port: None,
-            });
+            }));
         }
         let (source, destination_port) = match text.split_once('>') {
             Some((source, port)) => (source, Some(port.parse().ok()?)),
             None => (text, None),
         };
         let source: SocketAddr = source.parse().ok()?;
-        Some(Self {
+        Some(Self(Selection::Address {
             ip: source.ip().to_canonical(),
             source_port: Some(source.port()),
             destination_port,
-        })
+        }))
     }
 }
 
@@ -95,6 +125,7 @@ mod tests {
             "10.0.0.1:5>6",
             "fe80::1",
             "[fe80::1]:5",
+            "/left/velodyne_packets",
         ] {
             assert_eq!(text.parse::<SensorFilter>().unwrap().to_string(), text);
         }

@@ -18,7 +18,8 @@ pub enum CaptureError {
     },
     /// The file is something else.
     #[error(
-        "{name} is no capture: it holds {found}; expected pcap or pcapng, plain or compressed with gzip or zstd. \
+        "{name} is no capture: it holds {found}; expected pcap or pcapng, plain or compressed with gzip or zstd, or a ROS bag \
+         (.mcap, .db3, .bag, or the folder of a ROS 2 bag). \
          Check the path, or record one with `tcpdump -i INTERFACE -w FILE.pcap udp`"
     )]
     NotACapture {
@@ -27,15 +28,23 @@ pub enum CaptureError {
         /// What its first bytes look like.
         found: String,
     },
+    /// A bag without packets.
+    #[error("{name} is a bag without velodyne_msgs/VelodyneScan, the packets of a sensor: {found}")]
+    NoScans {
+        /// The path as it was given, or `standard input`.
+        name: String,
+        /// The topics that it has, and what to do.
+        found: String,
+    },
     /// The disk or the pipe failed.
-    #[error("cannot read {name} beyond record {record} (byte {offset}): {source}")]
+    #[error("cannot read {name} beyond record {record} ({place}): {source}")]
     Read {
         /// The path as it was given, or `standard input`.
         name: String,
         /// Number of the record that could not be read.
         record: u64,
-        /// Where that record begins, in bytes of the decompressed capture.
-        offset: u64,
+        /// Where that record begins.
+        place: Place,
         /// What the system says.
         source: io::Error,
     },
@@ -43,14 +52,35 @@ pub enum CaptureError {
 
 /// Where and why a capture breaks off. Everything before is good.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the capture breaks off at record {record} (byte {offset}): {reason}")]
+#[error("the capture breaks off at record {record} ({place}): {reason}")]
 pub struct Truncation {
     /// Number of the damaged record, which is also the number of records read.
     pub record: u64,
-    /// Start of the damaged record or block, in bytes of the decompressed capture.
-    pub offset: u64,
+    /// Where that is.
+    pub place: Place,
     /// What is wrong there.
     pub reason: Damage,
+}
+
+/// A place in a capture.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// Start of a record, block or chunk, in bytes of the decompressed capture.
+    Byte(u64),
+    /// A message of a SQLite database, by its number there.
+    Message(i64),
+    /// The same, in a file of a folder.
+    InFile(Box<Place>, String),
+}
+
+impl std::fmt::Display for Place {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Byte(offset) => write!(f, "byte {offset}"),
+            Self::Message(number) => write!(f, "message {number}"),
+            Self::InFile(place, file) => write!(f, "{place} of {file}"),
+        }
+    }
 }
 
 /// The damage where a capture breaks off.
@@ -113,6 +143,46 @@ pub enum Damage {
         /// Major version; 1 is right.
         major: u16,
     },
+    /// A bag whose recorder did not come to its end.
+    #[error("the bag is unfinished: its recorder was stopped before it wrote the end")]
+    Unfinished,
+    /// A record of a bag that contradicts itself.
+    #[error("its {what} is damaged")]
+    BagRecord {
+        /// The part of the record.
+        what: &'static str,
+    },
+    /// A part of a record of a bag that is longer than any recorder writes.
+    #[error("its {what} claims {found} bytes, more than the {limit} that can be there")]
+    BagLength {
+        /// The part of the record.
+        what: &'static str,
+        /// The length that it claims.
+        found: u64,
+        /// The most that is accepted.
+        limit: u64,
+    },
+    /// A record that reaches beyond the chunk of a bag that it is in.
+    #[error("a record reaches beyond the end of its chunk")]
+    ChunkEnd,
+    /// A chunk of a bag that is compressed in an unknown way.
+    #[error("its chunk is compressed with `{found}`; expected none, lz4, zstd or bz2")]
+    ChunkCompression {
+        /// The name in the chunk.
+        found: String,
+    },
+    /// More topics with packets than any machine has sensors.
+    #[error("it has more than {limit} topics with packets")]
+    TooManyTopics {
+        /// The most that are accepted.
+        limit: usize,
+    },
+    /// A SQLite database that cannot be read on.
+    #[error("SQLite says: {message}")]
+    Database {
+        /// Its words.
+        message: String,
+    },
 }
 
 /// What stops a reader: the machine, or the capture itself.
@@ -120,6 +190,25 @@ pub enum Damage {
 pub(super) enum Stop {
     Read(io::Error),
     Damaged(Damage),
+}
+
+impl Stop {
+    /// As the error of a capture that cannot be opened.
+    pub(super) fn at_opening(self, name: &str) -> CaptureError {
+        let name = name.to_owned();
+        match self {
+            Self::Damaged(damage) => CaptureError::NotACapture {
+                name,
+                found: format!("a file header that is damaged ({damage})"),
+            },
+            Self::Read(source) => CaptureError::Read {
+                name,
+                record: 0,
+                place: Place::Byte(0),
+                source,
+            },
+        }
+    }
 }
 
 impl From<Damage> for Stop {

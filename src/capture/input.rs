@@ -4,16 +4,26 @@ use std::error::Error;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Cursor, Read};
 use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use bzip2::read::BzDecoder;
 use flate2::bufread::MultiGzDecoder;
+use lz4_flex::frame::FrameDecoder as Lz4Decoder;
 use ruzstd::decoding::errors::{FrameDecoderError, ReadFrameHeaderError};
 use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};
 
 use super::error::{CaptureError, Damage, Stop};
 
 const BUFFER_LEN: usize = 64 * 1024;
+/// Memory is taken in such pieces while a record is read: a length may be a lie.
+const PIECE_LEN: usize = 1 << 20;
 const GZIP_MAGIC: [u8; 2] = [0x1F, 0x8B];
-const ZSTD_MAGIC: [u8; 4] = [0x28, 0xB5, 0x2F, 0xFD];
+pub(super) const ZSTD_MAGIC: [u8; 4] = [0x28, 0xB5, 0x2F, 0xFD];
+/// How a SQLite database begins.
+pub(super) const SQLITE_MAGIC: &[u8] = b"SQLite format 3\0";
+/// Bytes by which a format is recognised: a pcap file header, or a pcapng section header without
+/// its options.
+pub(super) const HEAD_LEN: usize = 24;
 
 /// Byte order of a capture: that of the machine that wrote it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,6 +39,10 @@ impl ByteOrder {
 
     pub(super) fn u32(self, bytes: [u8; 4]) -> u32 {
         u32::from_le_bytes(self.little(bytes))
+    }
+
+    pub(super) fn i32(self, bytes: [u8; 4]) -> i32 {
+        i32::from_le_bytes(self.little(bytes))
     }
 
     pub(super) fn i64(self, bytes: [u8; 8]) -> i64 {
@@ -51,6 +65,45 @@ fn open_file(path: &Path) -> io::Result<File> {
         Err(io::ErrorKind::IsADirectory.into())
     } else {
         Ok(file)
+    }
+}
+
+/// A capture just opened: its stream, and its first bytes, which were read from it.
+pub(super) struct Opened {
+    pub(super) name: String,
+    pub(super) input: Input,
+    /// At most [`HEAD_LEN`].
+    pub(super) head: Vec<u8>,
+}
+
+impl Opened {
+    /// Reads the first bytes of a capture.
+    pub(super) fn new(name: &str, source: Box<dyn Read + Send>) -> Result<Self, CaptureError> {
+        let mut head = vec![0; HEAD_LEN];
+        let begun = Input::new(source).map_err(Stop::Read);
+        let begun = begun.and_then(|mut input| {
+            let len = input.fill(&mut head)?;
+            Ok((input, len))
+        });
+        let (input, len) = begun.map_err(|stop| stop.at_opening(name))?;
+        head.truncate(len);
+        Ok(Self {
+            name: name.to_owned(),
+            input,
+            head,
+        })
+    }
+
+    /// The error for what is no capture.
+    pub(super) fn refused(self) -> CaptureError {
+        let found = describe(&self.head);
+        CaptureError::NotACapture {
+            name: self.name,
+            found: match self.input.compression {
+                Some(format) => format!("{format} of something else: {found}"),
+                None => found,
+            },
+        }
     }
 }
 
@@ -95,18 +148,24 @@ impl Input {
             source = Box::new(ZstdFrames::new(compressed));
             compression = Some("zstd");
         }
-        Ok(Self {
+        Ok(Self::over(source, compression))
+    }
+
+    /// Reads what `source` has decompressed.
+    fn over(source: Box<dyn Read + Send>, compression: Option<&'static str>) -> Self {
+        Self {
             source: BufReader::with_capacity(BUFFER_LEN, source),
             compression,
             offset: 0,
             mark: 0,
             bytes: Vec::new(),
-        })
+        }
     }
 
-    /// The format that the stream is compressed with.
-    pub(super) fn compression(&self) -> Option<&'static str> {
-        self.compression
+    /// Reads what `source` decompresses from the zstd frames that it has.
+    pub(super) fn zstd(source: Box<dyn Read + Send>) -> Self {
+        let compressed = BufReader::with_capacity(BUFFER_LEN, source);
+        Self::over(Box::new(ZstdFrames::new(compressed)), Some("zstd"))
     }
 
     /// Position of the last [`Input::start`], in bytes of the decompressed stream.
@@ -114,21 +173,44 @@ impl Input {
         self.mark
     }
 
+    /// How far it was read, in bytes of the decompressed stream.
+    pub(super) fn offset(&self) -> u64 {
+        self.offset
+    }
+
+    /// Takes what [`Input::load`] read last.
+    pub(super) fn take_bytes(&mut self) -> Vec<u8> {
+        std::mem::take(&mut self.bytes)
+    }
+
     /// What [`Input::load`] read last.
     pub(super) fn bytes(&self) -> &[u8] {
         &self.bytes
     }
 
-    /// Begins a record or block: its first `N` words as raw bytes, or `None` if the stream ends
-    /// exactly here.
-    pub(super) fn start<const N: usize>(&mut self) -> Result<Option<[[u8; 4]; N]>, Stop> {
+    /// Begins a record or block with the bytes of `head`; `false` if the stream ends exactly here.
+    pub(super) fn begin(&mut self, head: &mut [u8]) -> Result<bool, Stop> {
         self.mark = self.offset;
-        let mut words = [[0; 4]; N];
-        match self.fill(words.as_flattened_mut())? {
-            0 => Ok(None),
-            len if len == 4 * N => Ok(Some(words)),
+        match self.fill(head)? {
+            0 => Ok(false),
+            len if len == head.len() => Ok(true),
             _ => Err(Damage::Cut.into()),
         }
+    }
+
+    /// As [`Input::begin`], with `N` words as raw bytes, or `None`.
+    pub(super) fn start<const N: usize>(&mut self) -> Result<Option<[[u8; 4]; N]>, Stop> {
+        let mut words = [[0; 4]; N];
+        Ok(self.begin(words.as_flattened_mut())?.then_some(words))
+    }
+
+    /// Gives back bytes that were just read.
+    pub(super) fn unread(&mut self, bytes: &[u8]) {
+        let nothing = BufReader::with_capacity(0, Box::new(io::empty()) as Box<dyn Read + Send>);
+        let rest = std::mem::replace(&mut self.source, nothing);
+        let whole = Cursor::new(bytes.to_vec()).chain(rest);
+        self.source = BufReader::with_capacity(BUFFER_LEN, Box::new(whole));
+        self.offset -= bytes.len() as u64;
     }
 
     /// The next `N` words as raw bytes, which must be there.
@@ -143,14 +225,28 @@ impl Input {
         Ok(self.raw_words()?.map(|word| order.u32(word)))
     }
 
-    /// Reads `len` bytes, which [`Input::bytes`] then gives. The caller must bound `len`, since as
-    /// much memory is allocated.
+    /// Reads `len` bytes, which [`Input::bytes`] then gives. The caller must bound `len`: as much
+    /// memory is taken, as far as the bytes are there.
     pub(super) fn load(&mut self, len: usize) -> Result<(), Stop> {
         let mut bytes = std::mem::take(&mut self.bytes);
-        bytes.resize(len, 0);
-        let filled = self.fill_whole(&mut bytes);
+        let mut filled = Ok(());
+        let mut end = 0;
+        while filled.is_ok() && end < len {
+            let start = end;
+            end = len.min(start + PIECE_LEN);
+            bytes.resize(end, 0);
+            filled = self.fill_whole(&mut bytes[start..]);
+        }
+        bytes.truncate(end);
         self.bytes = bytes;
         filled
+    }
+
+    /// All that is left, at most `most` bytes.
+    pub(super) fn rest(mut self, most: u64) -> io::Result<Vec<u8>> {
+        let mut bytes = Vec::new();
+        (&mut self.source).take(most).read_to_end(&mut bytes)?;
+        Ok(bytes)
     }
 
     /// Skips `len` bytes.
@@ -171,7 +267,8 @@ impl Input {
         Ok(len)
     }
 
-    fn fill_whole(&mut self, target: &mut [u8]) -> Result<(), Stop> {
+    /// Fills `target`, or the stream is cut.
+    pub(super) fn fill_whole(&mut self, target: &mut [u8]) -> Result<(), Stop> {
         if self.fill(target)? < target.len() {
             return Err(Damage::Cut.into());
         }
@@ -179,7 +276,7 @@ impl Input {
     }
 
     /// A compressed stream that cannot be decoded is damage; an error of the system is not.
-    fn stop(&self, error: io::Error) -> Stop {
+    pub(super) fn stop(&self, error: io::Error) -> Stop {
         match self.compression {
             Some(format) if !comes_from_system(&error) => Damage::Compression {
                 format,
@@ -191,8 +288,48 @@ impl Input {
     }
 }
 
+/// A stream that is read both here and through the decompressor of a chunk in it.
+#[derive(Clone)]
+pub(super) struct SharedInput(Arc<Mutex<Input>>);
+
+impl SharedInput {
+    pub(super) fn new(input: Input) -> Self {
+        Self(Arc::new(Mutex::new(input)))
+    }
+
+    pub(super) fn lock(&self) -> MutexGuard<'_, Input> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The next `len` bytes, which hold a compressed stream of this name, or a plain one.
+    pub(super) fn chunk(&self, compression: &str, len: u64) -> Result<Input, Stop> {
+        let source = self.clone().take(len);
+        Ok(match compression {
+            "" | "none" => Input::over(Box::new(source), None),
+            "zstd" => Input::zstd(Box::new(source)),
+            "lz4" => Input::over(Box::new(Lz4Decoder::new(source)), Some("lz4")),
+            "bz2" => Input::over(Box::new(BzDecoder::new(source)), Some("bzip2")),
+            _ => {
+                return Err(Damage::ChunkCompression {
+                    found: compression.chars().take(40).collect(),
+                }
+                .into());
+            }
+        })
+    }
+}
+
+impl Read for SharedInput {
+    fn read(&mut self, target: &mut [u8]) -> io::Result<usize> {
+        let mut input = self.lock();
+        let len = input.source.read(target)?;
+        input.offset += len as u64;
+        Ok(len)
+    }
+}
+
 /// Reads until `target` is full or the stream ends.
-fn read_full(source: &mut impl Read, target: &mut [u8]) -> io::Result<usize> {
+pub(super) fn read_full(source: &mut impl Read, target: &mut [u8]) -> io::Result<usize> {
     let mut len = 0;
     while len < target.len() {
         match source.read(&mut target[len..]) {
@@ -313,6 +450,8 @@ impl<R: BufRead> Read for ZstdFrames<R> {
 /// The probable type of a file that is not a capture, by its first bytes.
 pub(super) fn describe(head: &[u8]) -> String {
     const CUT_HEADER: &str = "the start of a capture, cut inside the file header";
+    const DATABASE: &str = "a SQLite database, perhaps a ROS 2 bag, which is read only from a file of its own \
+        (not through a pipe, not compressed), and by a build with the feature `sqlite`";
     const KNOWN: [(&[u8], &str); 14] = [
         (b"\xD4\xC3\xB2\xA1", CUT_HEADER),
         (b"\xA1\xB2\xC3\xD4", CUT_HEADER),
@@ -321,9 +460,12 @@ pub(super) fn describe(head: &[u8]) -> String {
         (b"\x0A\x0D\x0D\x0A", CUT_HEADER),
         (b"\x89PNG", "a PNG image"),
         (b"\xFF\xD8\xFF", "a JPEG image"),
-        (b"#ROSBAG", "a ROS 1 bag"),
-        (b"SQLite format 3", "a SQLite database, perhaps a ROS 2 bag"),
-        (b"\x89MCAP", "an MCAP file"),
+        (
+            b"#ROSBAG",
+            "a ROS 1 bag of another version than 2.0, or the start of one",
+        ),
+        (SQLITE_MAGIC, DATABASE),
+        (b"\x89MCAP", CUT_HEADER),
         (b"PK\x03\x04", "a zip archive"),
         (b"\x7FELF", "a program"),
         (b"\xFF\xEE", "bare Velodyne packets without capture records"),

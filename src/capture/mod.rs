@@ -2,12 +2,13 @@
 //!
 //! * [`pcap`]: the records of a pcap or pcapng file, plain or compressed.
 //! * [`link`]: the UDP datagram in a frame.
-//! * [`Capture`]: both together, with counts of all skipped records.
+//! * [`Capture`]: both together, with counts of all skipped records; and the packets of ROS bags.
 //! * [`udp`]: the datagrams of live sensors.
 //! * [`pace`]: when to send each datagram of a replay.
 //! * [`mod@write`]: captures written.
 //! * [`record`]: records live sensors without delaying them.
 
+mod bag;
 pub mod error;
 mod frame;
 mod input;
@@ -22,13 +23,15 @@ pub mod write;
 use std::io::Read;
 use std::path::Path;
 
-pub use error::{CaptureError, Damage, Truncation};
+use bag::{Bag, Step};
+pub use error::{CaptureError, Damage, Place, Truncation};
 pub use frame::Record;
+use input::{Input, Opened};
 pub use link::{Decapsulator, LinkType, NoDatagram};
 pub use pace::{Pacer, Speed};
 pub use pcap::CaptureReader;
 pub use record::{RecordError, Recorder};
-use sweepd_core::wire::Datagram;
+use sweepd_core::wire::{DATA_PORT, Datagram};
 pub use udp::{UdpConfig, UdpError, UdpSource};
 pub use write::PcapWriter;
 
@@ -38,7 +41,7 @@ const MAX_LINK_TYPES: usize = 16;
 /// Counts of the records so far. Every record is a datagram or one of the others.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CaptureCounts {
-    /// Records read.
+    /// Records read; of a bag, packets.
     pub records: u64,
     /// Records that gave a datagram, including the last fragment of one.
     pub datagrams: u64,
@@ -53,7 +56,7 @@ pub struct CaptureCounts {
     pub fragments: u64,
     /// Records with an unsupported link type.
     pub unsupported_link: u64,
-    /// Records with headers that contradict themselves.
+    /// Records with headers that contradict themselves, and messages of a bag that are no scan.
     pub malformed: u64,
     /// Records without a time (pcapng simple packet blocks), which get that of the record before.
     /// They are also counted above.
@@ -91,9 +94,13 @@ impl CaptureCounts {
 /// # Ok::<(), sweepd::capture::CaptureError>(())
 /// ```
 pub struct Capture {
-    reader: CaptureReader,
-    decapsulator: Decapsulator,
+    reader: Reader,
     stats: CaptureStats,
+}
+
+enum Reader {
+    Frames(Box<(CaptureReader, Decapsulator)>),
+    Bag(Box<Bag>),
 }
 
 /// A datagram with its place in the capture.
@@ -103,6 +110,9 @@ pub struct Placed<'a> {
     pub record: u64,
     /// Nanoseconds after the first record of the capture; negative where times go back.
     pub since_start_ns: i64,
+    /// The topic of a bag that it came from. The source of the datagram then only keeps topics
+    /// apart.
+    pub topic: Option<&'a str>,
     /// The datagram.
     pub datagram: Datagram<'a>,
 }
@@ -119,11 +129,15 @@ struct CaptureStats {
 impl CaptureStats {
     /// Notes a record, and gives its time.
     fn note(&mut self, record: &Record<'_>) -> i64 {
-        self.counts.records += 1;
         if self.link_types.len() < MAX_LINK_TYPES && !self.link_types.contains(&record.link_type) {
             self.link_types.push(record.link_type);
         }
-        let Some(time_ns) = record.time_ns else {
+        self.note_time(record.time_ns)
+    }
+
+    fn note_time(&mut self, time_ns: Option<i64>) -> i64 {
+        self.counts.records += 1;
+        let Some(time_ns) = time_ns else {
             self.counts.untimed += 1;
             return self.last_ns.unwrap_or(0);
         };
@@ -131,29 +145,59 @@ impl CaptureStats {
         self.last_ns = Some(time_ns);
         time_ns
     }
+
+    /// A datagram of the record that was noted last.
+    fn place<'a>(&mut self, datagram: Datagram<'a>, topic: Option<&'a str>) -> Placed<'a> {
+        self.counts.datagrams += 1;
+        let arrival_ns = datagram.arrival_ns;
+        Placed {
+            record: self.counts.records - 1,
+            since_start_ns: arrival_ns.saturating_sub(self.first_ns.unwrap_or(arrival_ns)),
+            topic,
+            datagram,
+        }
+    }
 }
 
 impl Capture {
-    /// Opens the capture at `path`, or standard input for `-`.
+    /// Opens the capture at `path`, a file or the folder of a ROS 2 bag, or standard input for `-`.
     ///
     /// # Errors
     /// [`CaptureError`]: it cannot be opened or read, or is not a capture.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, CaptureError> {
-        CaptureReader::open(path).map(Self::over)
+        let path = path.as_ref();
+        if Self::is_in_place(path) {
+            return Bag::open(path).map(Self::of_bag);
+        }
+        let (name, source) = Input::open(path)?;
+        Self::new(&name, source)
+    }
+
+    /// Whether [`Capture::open`] alone can read what is at `path`: a folder or a SQLite database is
+    /// no stream.
+    pub fn is_in_place(path: &Path) -> bool {
+        path != Path::new("-") && Bag::is_in_place(path)
     }
 
     /// Reads a capture from anywhere; `name` is for messages.
     ///
     /// # Errors
-    /// [`CaptureError::Read`] and [`CaptureError::NotACapture`].
+    /// [`CaptureError`]: it cannot be read, or is not a capture.
     pub fn new(name: &str, source: Box<dyn Read + Send>) -> Result<Self, CaptureError> {
-        CaptureReader::new(name, source).map(Self::over)
+        let opened = Opened::new(name, source)?;
+        if Bag::is_magic(&opened.head) {
+            return Bag::over(opened).map(Self::of_bag);
+        }
+        let frames = (CaptureReader::over(opened)?, Decapsulator::new());
+        Ok(Self {
+            reader: Reader::Frames(Box::new(frames)),
+            stats: CaptureStats::default(),
+        })
     }
 
-    fn over(reader: CaptureReader) -> Self {
+    fn of_bag(bag: Bag) -> Self {
         Self {
-            reader,
-            decapsulator: Decapsulator::new(),
+            reader: Reader::Bag(Box::new(bag)),
             stats: CaptureStats::default(),
         }
     }
@@ -172,41 +216,27 @@ impl Capture {
     /// # Errors
     /// As there.
     pub fn next_placed(&mut self) -> Result<Option<Placed<'_>>, CaptureError> {
-        let (found, arrival_ns) = loop {
-            let Some(record) = self.reader.next()? else {
-                return Ok(None);
-            };
-            let time_ns = self.stats.note(&record);
-            match self
-                .decapsulator
-                .find(record.link_type, record.bytes, time_ns)
-            {
-                Ok(found) => break (found, time_ns),
-                Err(reason) => self.stats.counts.count(reason),
-            }
-        };
-        self.stats.counts.datagrams += 1;
-        // Requested again: the borrow of a record from the loop would forbid to read the next one.
-        let frame = self.reader.record().map_or(&[][..], |record| record.bytes);
-        let payload = self.decapsulator.payload(&found, frame);
-        let datagram = Datagram {
-            arrival_ns,
-            source: found.source,
-            destination_port: found.destination_port,
-            payload,
-        };
-        let record = self.stats.counts.records - 1;
-        let since_start_ns = arrival_ns.saturating_sub(self.stats.first_ns.unwrap_or(arrival_ns));
-        Ok(Some(Placed {
-            record,
-            since_start_ns,
-            datagram,
-        }))
+        let stats = &mut self.stats;
+        match &mut self.reader {
+            Reader::Frames(frames) => next_frame(&mut frames.0, &mut frames.1, stats),
+            Reader::Bag(bag) => next_packet(bag, stats),
+        }
     }
 
-    /// The record of the last datagram, for messages.
+    /// The record of the last datagram, for messages; a bag has none.
     pub fn record(&self) -> Option<Record<'_>> {
-        self.reader.record()
+        match &self.reader {
+            Reader::Frames(frames) => frames.0.record(),
+            Reader::Bag(_) => None,
+        }
+    }
+
+    /// The format of a bag, `MCAP` for example; `None` if it is another capture.
+    pub fn bag_format(&self) -> Option<&'static str> {
+        match &self.reader {
+            Reader::Frames(_) => None,
+            Reader::Bag(bag) => Some(bag.format()),
+        }
     }
 
     /// Counts of records read and skipped so far.
@@ -231,13 +261,72 @@ impl Capture {
 
     /// Where and why the capture broke off; `None` if it has not.
     pub fn truncation(&self) -> Option<&Truncation> {
-        self.reader.truncation()
+        match &self.reader {
+            Reader::Frames(frames) => frames.0.truncation(),
+            Reader::Bag(bag) => bag.truncation(),
+        }
     }
 
     /// The path or name that the capture was opened with.
     pub fn name(&self) -> &str {
-        self.reader.name()
+        match &self.reader {
+            Reader::Frames(frames) => frames.0.name(),
+            Reader::Bag(bag) => bag.name(),
+        }
     }
+}
+
+fn next_frame<'a>(
+    reader: &'a mut CaptureReader,
+    decapsulator: &'a mut Decapsulator,
+    stats: &mut CaptureStats,
+) -> Result<Option<Placed<'a>>, CaptureError> {
+    let (found, arrival_ns) = loop {
+        let Some(record) = reader.next()? else {
+            return Ok(None);
+        };
+        let time_ns = stats.note(&record);
+        match decapsulator.find(record.link_type, record.bytes, time_ns) {
+            Ok(found) => break (found, time_ns),
+            Err(reason) => stats.counts.count(reason),
+        }
+    };
+    // Requested again: the borrow of a record from the loop would forbid to read the next one.
+    let frame = reader.record().map_or(&[][..], |record| record.bytes);
+    let payload = decapsulator.payload(&found, frame);
+    let datagram = Datagram {
+        arrival_ns,
+        source: found.source,
+        destination_port: found.destination_port,
+        payload,
+    };
+    Ok(Some(stats.place(datagram, None)))
+}
+
+fn next_packet<'a>(
+    bag: &'a mut Bag,
+    stats: &mut CaptureStats,
+) -> Result<Option<Placed<'a>>, CaptureError> {
+    loop {
+        match bag.advance()? {
+            Step::Packet => break,
+            Step::End => return Ok(None),
+            Step::Malformed => {
+                stats.counts.records += 1;
+                stats.counts.malformed += 1;
+            }
+        }
+    }
+    let Some(packet) = bag.packet() else {
+        return Ok(None);
+    };
+    let datagram = Datagram {
+        arrival_ns: stats.note_time(Some(packet.stamp_ns)),
+        source: packet.source,
+        destination_port: DATA_PORT,
+        payload: packet.payload,
+    };
+    Ok(Some(stats.place(datagram, Some(packet.topic))))
 }
 
 #[cfg(test)]

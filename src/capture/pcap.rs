@@ -15,15 +15,11 @@
 use std::io::Read;
 use std::path::Path;
 
-use super::error::{CaptureError, Damage, Stop, Truncation};
+use super::error::{CaptureError, Damage, Place, Stop, Truncation};
 use super::frame::{FrameHeader, MAX_RECORD_LEN, Record};
-use super::input::{ByteOrder, Input, describe};
+use super::input::{ByteOrder, HEAD_LEN, Input, Opened};
 use super::link::LinkType;
 use super::pcapng::Sections;
-
-/// Bytes of a pcap file header, and of a pcapng section header without its options: enough to
-/// recognise a format.
-const HEAD_LEN: usize = 24;
 
 /// A capture file, read record by record; see [`CaptureReader::next`].
 pub struct CaptureReader {
@@ -58,40 +54,24 @@ impl CaptureReader {
     /// # Errors
     /// [`CaptureError::Read`] and [`CaptureError::NotACapture`].
     pub fn new(name: &str, source: Box<dyn Read + Send>) -> Result<Self, CaptureError> {
-        let name = name.to_owned();
-        let mut head = Vec::with_capacity(HEAD_LEN);
-        let begun = Input::new(source).map_err(Stop::Read);
-        let begun = begun.and_then(|mut input| {
-            let format = Format::recognise(&mut input, &mut head)?;
-            Ok((input, format))
-        });
-        let found = match begun {
-            Ok((input, Some(format))) => {
-                return Ok(Self {
-                    name,
-                    input,
-                    format,
-                    current: None,
-                    records: 0,
-                    ended: false,
-                    truncation: None,
-                });
-            }
-            Ok((input, None)) => match input.compression() {
-                Some(format) => format!("{format} of something else: {}", describe(&head)),
-                None => describe(&head),
-            },
-            Err(Stop::Damaged(damage)) => format!("a file header that is damaged ({damage})"),
-            Err(Stop::Read(source)) => {
-                return Err(CaptureError::Read {
-                    name,
-                    record: 0,
-                    offset: 0,
-                    source,
-                });
-            }
+        Self::over(Opened::new(name, source)?)
+    }
+
+    /// Reads what was opened.
+    pub(super) fn over(mut opened: Opened) -> Result<Self, CaptureError> {
+        let format = Format::recognise(&mut opened.input, &opened.head);
+        let Some(format) = format.map_err(|stop| stop.at_opening(&opened.name))? else {
+            return Err(opened.refused());
         };
-        Err(CaptureError::NotACapture { name, found })
+        Ok(Self {
+            name: opened.name,
+            input: opened.input,
+            format,
+            current: None,
+            records: 0,
+            ended: false,
+            truncation: None,
+        })
     }
 
     /// The next record; `None` at the end, or where the capture breaks off, for which
@@ -131,7 +111,7 @@ impl CaptureReader {
                 self.ended = true;
                 self.truncation = Some(Truncation {
                     record: self.records,
-                    offset: self.input.mark(),
+                    place: Place::Byte(self.input.mark()),
                     reason,
                 });
             }
@@ -140,7 +120,7 @@ impl CaptureReader {
                 return Err(CaptureError::Read {
                     name: self.name.clone(),
                     record: self.records,
-                    offset: self.input.mark(),
+                    place: Place::Byte(self.input.mark()),
                     source,
                 });
             }
@@ -173,11 +153,8 @@ impl CaptureReader {
 }
 
 impl Format {
-    /// Reads the file header. Leaves its bytes in `head`, for the message if the format is unknown.
-    fn recognise(input: &mut Input, head: &mut Vec<u8>) -> Result<Option<Self>, Stop> {
-        head.resize(HEAD_LEN, 0);
-        let len = input.fill(head)?;
-        head.truncate(len);
+    /// Reads the file header, of which `head` has been read.
+    fn recognise(input: &mut Input, head: &[u8]) -> Result<Option<Self>, Stop> {
         let Some(words) = head.first_chunk::<HEAD_LEN>() else {
             return Ok(None);
         };

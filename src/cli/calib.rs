@@ -61,7 +61,8 @@ Example:
 
 #[derive(Debug, clap::Args)]
 struct FromCapture {
-    /// pcap or pcapng, plain or compressed with gzip or zstd; - is standard input
+    /// pcap or pcapng, plain or compressed with gzip or zstd, or a ROS bag with VelodyneScan messages
+    /// (.mcap, .db3, .bag, or the folder of a ROS 2 bag); - is standard input
     #[arg(value_name = "CAPTURE")]
     capture: PathBuf,
     /// The file to write
@@ -69,7 +70,7 @@ struct FromCapture {
     out: PathBuf,
     #[command(flatten)]
     force: ForceOptions,
-    /// Only the sensor at this address: IP or IP:PORT
+    /// Only the sensor at this address: IP or IP:PORT; of a bag, /TOPIC
     #[arg(long, value_name = "ADDR")]
     sensor: Option<SensorFilter>,
 }
@@ -208,7 +209,7 @@ fn from_capture(args: &FromCapture) -> Result<(), CliError> {
     let existing = args.force.existing();
     output::check(&args.out, existing)?;
     let mut capture = Capture::open(&args.capture)?;
-    let units = read_units(&mut capture, args.sensor)?;
+    let units = read_units(&mut capture, args.sensor.clone())?;
     if let Some(truncation) = capture.truncation() {
         complain("warning", truncation);
     }
@@ -260,8 +261,9 @@ fn only_unit(units: &[Unit]) -> Result<&Unit, String> {
 fn read_units(capture: &mut Capture, filter: Option<SensorFilter>) -> Result<Vec<Unit>, CliError> {
     let mut sensors = DiscoveredSensors::new(filter.into_iter().collect());
     let mut units: Vec<Option<Unit>> = Vec::new();
-    while let Some(datagram) = capture.next_datagram()? {
-        let Ok((Route::Data(index), packet)) = sensors.admit(&datagram) else {
+    while let Some(placed) = capture.next_placed()? {
+        let admitted = sensors.admit_from(&placed.datagram, placed.topic);
+        let Ok((Route::Data(index), packet)) = admitted else {
             continue;
         };
         let Content::Data(packet) = packet.content else {

@@ -14,7 +14,7 @@ use flows::Flows;
 use positions::Positions;
 
 use super::CliError;
-use crate::admission::{DiscoveredSensors, Route, Sender};
+use crate::admission::{DiscoveredSensors, Route};
 use crate::capture::{Capture, LinkType};
 use crate::cure::{Dialect, explain_model};
 use crate::text::{count_of, grouped, rate, row, utc_text};
@@ -32,7 +32,8 @@ use sweepd_core::wire::{Content, DataPacket, Packet};
 Example:
   sweepd inspect pcap_fixtures/street_vlp16_losses.pcap")]
 pub struct Args {
-    /// pcap or pcapng, plain or compressed with gzip or zstd; - is standard input
+    /// pcap or pcapng, plain or compressed with gzip or zstd, or a ROS bag with VelodyneScan messages
+    /// (.mcap, .db3, .bag, or the folder of a ROS 2 bag); - is standard input
     #[arg(value_name = "CAPTURE")]
     pub capture: PathBuf,
 }
@@ -48,12 +49,13 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     let mut positions: BTreeMap<IpAddr, Positions> = BTreeMap::new();
     let mut flows = Flows::default();
     let read = loop {
-        let datagram = match capture.next_datagram() {
-            Ok(Some(datagram)) => datagram,
+        let placed = match capture.next_placed() {
+            Ok(Some(placed)) => placed,
             Ok(None) => break Ok(()),
             Err(error) => break Err(error),
         };
-        match sensors.admit(&datagram) {
+        let datagram = placed.datagram;
+        match sensors.admit_from(&datagram, placed.topic) {
             Ok((Route::Data(index), packet)) => {
                 if index == streams.len() {
                     streams.push(DataStream::default());
@@ -66,6 +68,8 @@ pub fn run(args: &Args) -> Result<(), CliError> {
             }
             Err(refused) => match refused.sensor {
                 Some(index) => streams[index].add_malformed(datagram.arrival_ns),
+                // Of a bag they are counted.
+                None if placed.topic.is_some() => {}
                 None => flows.add(&datagram),
             },
         }
@@ -92,12 +96,8 @@ fn describe(
         *addresses.entry(sensor.source.ip()).or_default() += 1;
     }
     for (sensor, stream) in sensors.senders().iter().zip(streams) {
-        let Sender {
-            source,
-            destination_port,
-            ..
-        } = sensor;
-        let _ = writeln!(text, "\n{source} to port {destination_port}");
+        let source = sensor.source;
+        let _ = writeln!(text, "\n{}", sensor.origin());
         stream.finish();
         stream.describe(&mut text);
         if let Some(positions) = positions.get(&source.ip()) {
@@ -121,7 +121,8 @@ fn describe(
 fn describe_others(capture: &Capture, sensors: &DiscoveredSensors, flows: &Flows) -> String {
     let mut lines = flows.lines();
     let counts = capture.counts();
-    if lines.is_empty() && counts.records > 0 && counts.datagrams == 0 {
+    let is_bag = capture.bag_format().is_some();
+    if lines.is_empty() && !is_bag && counts.records > 0 && counts.datagrams == 0 {
         lines.push("no record holds a UDP datagram".to_owned());
     }
     if lines.is_empty() {
@@ -144,17 +145,21 @@ fn describe_capture(capture: &Capture, sensors: &DiscoveredSensors) -> String {
         let time = format_args!("{first} to {last}, {seconds:.3} s");
         row(&mut text, "time", time);
     }
-    let links: Vec<String> = capture
-        .link_types()
-        .iter()
-        .map(LinkType::to_string)
-        .collect();
-    row(&mut text, "link type", links.join(", "));
-    let records = grouped(counts.records);
-    let datagrams = count_of(counts.datagrams, "UDP datagram");
-    let others = grouped(counts.other_traffic() + sensors.others());
-    let all = format_args!("{records}, with {datagrams}; {others} of other traffic");
-    row(&mut text, "records", all);
+    if let Some(format) = capture.bag_format() {
+        row(&mut text, "format", format);
+        let mut records = count_of(counts.datagrams, "packet");
+        for (count, what) in [
+            (sensors.others(), "that no Velodyne sends"),
+            (counts.malformed, "that no message of packets is"),
+        ] {
+            if count > 0 {
+                let _ = write!(records, ", {} {what}", grouped(count));
+            }
+        }
+        row(&mut text, "records", records);
+    } else {
+        describe_records(capture, sensors, &mut text);
+    }
     if counts.truncated_records > 0 {
         let cut = count_of(counts.truncated_records, "record");
         let cut = format_args!("{cut}: hold less than was sent");
@@ -167,6 +172,22 @@ fn describe_capture(capture: &Capture, sensors: &DiscoveredSensors) -> String {
         row(&mut text, "sensors", "none sends data packets");
     }
     text
+}
+
+/// What the records of a capture of frames are.
+fn describe_records(capture: &Capture, sensors: &DiscoveredSensors, text: &mut String) {
+    let counts = capture.counts();
+    let links: Vec<String> = capture
+        .link_types()
+        .iter()
+        .map(LinkType::to_string)
+        .collect();
+    row(text, "link type", links.join(", "));
+    let records = grouped(counts.records);
+    let datagrams = count_of(counts.datagrams, "UDP datagram");
+    let others = grouped(counts.other_traffic() + sensors.others());
+    let all = format_args!("{records}, with {datagrams}; {others} of other traffic");
+    row(text, "records", all);
 }
 
 /// The data packets of one sensor.

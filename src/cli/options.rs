@@ -85,7 +85,7 @@ pub struct SensorOptions {
     /// the one in its packets]
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
-    /// Only sensors at this address: IP or IP:PORT; may be given several times
+    /// Only sensors at this address: IP or IP:PORT; of a bag, /TOPIC; may be given several times
     #[arg(long, value_name = "ADDR")]
     pub sensor: Vec<SensorFilter>,
     /// Azimuth at which sweeps are cut, degrees clockwise from the sensor's +y

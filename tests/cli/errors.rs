@@ -21,7 +21,10 @@ fn what_is_no_capture_is_named_by_both_commands() {
             folder.write("zipped.pcap.gz", made::gzip(b"hello")),
             "gzip of something else",
         ),
-        (folder.path(""), "irectory"),
+        (
+            folder.path(""),
+            "a folder without .mcap, .db3 or .bag files",
+        ),
         (folder.path("missing.pcap"), "No such file"),
     ];
     for (path, why) in cases {

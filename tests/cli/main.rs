@@ -1,6 +1,8 @@
 //! The command line as a user meets it: the real binary, over shipped captures and over bad ones
 //! made here.
 
+#[cfg(feature = "slow-tests")]
+mod bags;
 mod calib;
 #[path = "../common/mod.rs"]
 mod common;

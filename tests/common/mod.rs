@@ -3,6 +3,7 @@
 // Each test uses its part of this.
 #![allow(dead_code)]
 
+pub mod bags;
 pub mod due;
 pub mod hdl64;
 pub mod npy;

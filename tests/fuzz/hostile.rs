@@ -1,5 +1,7 @@
 //! Inputs that are made to take all the time or all the memory there is.
 
+use crate::common::bags::{SCAN, cdr, compress, mcap, ros1};
+
 /// What might bring the target of this name to its knees; as long as the files may be that are
 /// read.
 pub fn of(name: &str) -> Vec<Vec<u8>> {
@@ -11,6 +13,7 @@ pub fn of(name: &str) -> Vec<Vec<u8>> {
             .map(|(open, close)| nested(open, "1", close, 400 << 10))
             .to_vec(),
         "capture" => captures(),
+        "bag" => bags(),
         "cloud" => clouds(),
         "mask" => vec![
             png(36_000, 128),
@@ -165,6 +168,42 @@ fn captures() -> Vec<Vec<u8>> {
             0x1F, 0x8B, 8, 0, 0, 0, 0, 0, 0, 3, 3, 0, 0, 0, 0, 0, 0, 0, 0, 0,
         ]
         .repeat(4000),
+    ]
+}
+
+fn bags() -> Vec<Vec<u8>> {
+    let names = [mcap::schema(1, SCAN), mcap::channel(0, 1, "/left", "cdr")].concat();
+    let lie = |opcode: u8, len: u64| [&[opcode][..], &len.to_le_bytes(), &[0; 30]].concat();
+    let zeros = vec![0; 40 << 20];
+    let channels = |count: u32, kind: &str, topic: &str| {
+        let schema = mcap::schema(1, kind);
+        let channels =
+            (0..count).flat_map(|id| mcap::channel(id as u16, 1, &format!("/{id}{topic}"), "cdr"));
+        mcap::file(&[schema, channels.collect()])
+    };
+    let scans = |count: usize| mcap::message(0, &cdr(&[], false)).repeat(count);
+    vec![
+        mcap::file(&[names.clone(), lie(5, 16 << 20)]),
+        mcap::file(&[names.clone(), lie(5, u64::MAX)]),
+        mcap::file(&[lie(3, u64::MAX)]),
+        mcap::file(&[mcap::chunk("zstd", &zeros)]),
+        mcap::file(&[mcap::chunk("bz2", &zeros)]),
+        // A message of 40 MiB, then one of 15, in a few kilobytes.
+        mcap::file(&[
+            names.clone(),
+            mcap::chunk("zstd", &mcap::message(0, &zeros)),
+        ]),
+        mcap::file(&[
+            names.clone(),
+            mcap::chunk("zstd", &mcap::message(0, &zeros[..15 << 20])),
+        ]),
+        mcap::file(&[names.clone(), mcap::message(0, &compress("zstd", &zeros))]),
+        // Topics without end, with packets and without; scans without packets.
+        channels(3000, SCAN, ""),
+        channels(3000, "sensor_msgs/msg/PointCloud2", &"x".repeat(100)),
+        mcap::file(&[names, scans(3000)]),
+        ros1::file(true, &[vec![0xFF; 100]]),
+        ros1::file(true, &[ros1::chunk("lz4", &zeros)]),
     ]
 }
 

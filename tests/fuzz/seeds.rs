@@ -12,6 +12,8 @@ use sweepd::sweep::{BeamRow, Buffers, HeapBuffers, Shape, SweepMut};
 use sweepd::wire::data::DATA_PACKET_LEN;
 use sweepd::wire::position::POSITION_PACKET_LEN;
 
+use crate::common::bags::{self, mcap, ros1};
+
 type Inputs = Vec<Vec<u8>>;
 
 /// The seeds of the target of this name. `data` is the folder of real captures and calibrations,
@@ -25,6 +27,8 @@ pub fn of(name: &str, data: Option<&Path>) -> Inputs {
         "position_packet" => positions(data),
         "status_stream" => status_streams(),
         "capture" => capture_files(data),
+        "bag" => bag_files(),
+        "database" => databases(),
         "frame" => frames(),
         "db_xml" => [vec![db_xml()], files(data, "calib", &["xml"], 128 << 10)].concat(),
         "ros_yaml" => yamls(data),
@@ -208,6 +212,58 @@ fn capture_files(data: Option<&Path>) -> Inputs {
             }),
     );
     seeds
+}
+
+/// MCAP files and ROS 1 bags, plain and in compressed chunks, with two topics.
+fn bag_files() -> Inputs {
+    let scan = [
+        (1_700_000_000_000_000_000, 0xFF),
+        (1_700_000_000_001_000_000, 0xEE),
+    ];
+    let records = [
+        mcap::schema(1, bags::SCAN),
+        mcap::schema(2, "std_msgs/msg/String"),
+        mcap::channel(1, 1, "/left", "cdr"),
+        mcap::channel(2, 1, "/right", "ros1"),
+        mcap::channel(3, 2, "/chatter", "cdr"),
+        mcap::message(1, &bags::cdr(&scan, false)),
+        mcap::message(2, &bags::ros1_scan(&scan)),
+        mcap::message(3, b"hello"),
+        mcap::message(1, &bags::cdr(&scan, true)),
+        mcap::message(2, &bags::compress("zstd", &bags::cdr(&scan, true))),
+    ]
+    .concat();
+    let mut seeds: Inputs = ["none", "zstd", "lz4", "bz2"]
+        .map(|compression| mcap::file(&[mcap::chunk(compression, &records)]))
+        .to_vec();
+    seeds.push(mcap::file(&[records]));
+    let records = [
+        ros1::connection(1, "/left", bags::ROS1_SCAN),
+        ros1::connection(2, "/chatter", "std_msgs/String"),
+        ros1::message(1, &bags::ros1_scan(&scan)),
+        ros1::message(2, b"hello"),
+        ros1::message(1, &bags::ros1_scan(&scan)),
+    ]
+    .concat();
+    for compression in ["none", "lz4", "bz2"] {
+        seeds.push(ros1::file(true, &[ros1::chunk(compression, &records)]));
+    }
+    seeds.push(gzip(&ros1::file(false, &[records])));
+    seeds
+}
+
+fn databases() -> Inputs {
+    let path = std::env::temp_dir().join(format!("sweepd-seed-{}.db3", std::process::id()));
+    let topics = [("/left", bags::SCAN), ("/chatter", "std_msgs/msg/String")];
+    let messages = [
+        (0, bags::cdr(&[(5, 0xFF); 8], false)),
+        (1, vec![1; 6000]),
+        (0, bags::cdr(&[(6, 0xFF); 2], true)),
+    ];
+    bags::sqlite(&path, &topics, &messages);
+    let seed = std::fs::read(&path).expect("the database just written");
+    std::fs::remove_file(&path).expect("the database just written");
+    vec![seed]
 }
 
 /// Two sections with interfaces of all kinds of time, and every kind of packet block.

@@ -1,5 +1,6 @@
 //! Tests of what is pure, and of shared memory within one process.
 
+mod bags;
 mod calibration;
 mod capture;
 mod cloud;

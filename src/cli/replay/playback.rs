@@ -206,7 +206,7 @@ impl<'a> Playback<'a> {
 
     /// Sends a datagram on, and gives its packet to its sensors.
     fn datagram(&mut self, placed: &Placed<'_>, when: When) -> Result<(), CliError> {
-        let admitted = self.sensors.admit(&placed.datagram);
+        let admitted = self.sensors.admit_from(&placed.datagram, placed.topic);
         if when == When::Within
             && let Some(sender) = &mut self.sender
         {

@@ -32,7 +32,8 @@ pub(super) fn open(args: &Args, bar: &ProgressBar) -> Result<Capture, CaptureErr
         let bar = with_template(bar.clone(), "{binary_bytes} read, {elapsed} gone");
         return Capture::new("standard input", Box::new(bar.wrap_read(io::stdin())));
     }
-    let Some(file) = fs::metadata(path).ok().filter(fs::Metadata::is_file) else {
+    let metadata = fs::metadata(path).ok().filter(fs::Metadata::is_file);
+    let Some(file) = metadata.filter(|_| !Capture::is_in_place(path)) else {
         return Capture::open(path);
     };
     bar.set_length(file.len());

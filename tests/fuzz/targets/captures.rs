@@ -1,9 +1,9 @@
-//! Files of frames: pcap and pcapng, plain or compressed, and the frames in them.
+//! Files of frames: pcap and pcapng, plain or compressed, and the frames in them; ROS bags.
 
 use std::io::Cursor;
 
 use sweepd::admission::DiscoveredSensors;
-use sweepd::capture::{Capture, CaptureCounts, Decapsulator, LinkType, NoDatagram};
+use sweepd::capture::{Capture, CaptureCounts, CaptureError, Decapsulator, LinkType, NoDatagram};
 
 use super::Numbers;
 
@@ -14,7 +14,19 @@ const LINKS: [u16; 11] = [0, 1, 12, 14, 101, 108, 113, 228, 229, 276, 147];
 
 /// A capture is read to its end, or up to where it breaks off: every record is counted once.
 pub fn capture(input: &[u8]) {
-    let mut capture = match Capture::new("fuzz", Box::new(Cursor::new(input.to_vec()))) {
+    read(Capture::new("fuzz", Box::new(Cursor::new(input.to_vec()))));
+}
+
+/// The same for a database, which is read from a file.
+pub fn database(input: &[u8]) {
+    let path = std::env::temp_dir().join(format!("sweepd-fuzz-{}.db3", std::process::id()));
+    std::fs::write(&path, input).expect("a folder for temporary files");
+    read(Capture::open(&path));
+    std::fs::remove_file(&path).expect("the file just written");
+}
+
+fn read(opened: Result<Capture, CaptureError>) {
+    let mut capture = match opened {
         Ok(capture) => capture,
         Err(error) => return assert!(!error.to_string().is_empty()),
     };
@@ -25,7 +37,7 @@ pub fn capture(input: &[u8]) {
             Ok(None) => break,
             Ok(Some(placed)) => {
                 assert!(placed.datagram.payload.len() <= 65_535);
-                let _ = sensors.admit(&placed.datagram);
+                let _ = sensors.admit_from(&placed.datagram, placed.topic);
                 datagrams += 1;
             }
             Err(error) => panic!("memory cannot fail to be read: {error}"),

@@ -17,11 +17,13 @@ pub mod texts;
 pub type Run = fn(&[u8]);
 
 /// All targets by name.
-pub const ALL: [(&str, Run); 15] = [
+pub const ALL: [(&str, Run); 17] = [
     ("data_packet", packets::data_packet),
     ("position_packet", packets::position_packet),
     ("status_stream", packets::status_stream),
     ("capture", captures::capture),
+    ("bag", captures::capture),
+    ("database", captures::database),
     ("frame", captures::frame),
     ("db_xml", texts::db_xml),
     ("ros_yaml", texts::ros_yaml),

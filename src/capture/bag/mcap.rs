@@ -1,0 +1,177 @@
+//! MCAP files.
+//!
+//! ```text
+//! file    | magic | record | record | ... | data end | index | footer | magic |
+//! record  | opcode u8, length u64 | body |
+//! schema  | id u16 | name | encoding | definition |                         texts begin with a length u32
+//! channel | id u16, schema id u16 | topic | message encoding | metadata |
+//! message | channel id u16, sequence u32, logged u64, published u64 | data |
+//! chunk   | start u64, end u64, uncompressed length u64, check sum u32 | compression | length u64 | records |
+//! ```
+//!
+//! Layout: mcap.dev/spec. The reader is our own, since the crate `mcap` loads each record as a
+//! whole, of any topic, does not say where a file breaks off, and subtracts without a check where a
+//! record reaches beyond a plain chunk. The index at the end is not needed.
+
+use std::collections::HashMap;
+
+use super::chunks::Chunks;
+use super::scan::Encoding;
+use super::{Log, MAX_MESSAGE_LEN, Message, Topics};
+use crate::capture::error::{Damage, Place, Stop};
+use crate::capture::input::Input;
+
+pub(super) const MAGIC: &[u8] = b"\x89MCAP0\r\n";
+
+const FOOTER: u8 = 0x02;
+const SCHEMA: u8 = 0x03;
+const CHANNEL: u8 = 0x04;
+const MESSAGE: u8 = 0x05;
+const CHUNK: u8 = 0x06;
+const DATA_END: u8 = 0x0F;
+
+const MESSAGE_HEADER_LEN: u64 = 22;
+const CHUNK_HEADER_LEN: u64 = 28;
+/// Names stand at the start of their record; more than this of it is not read.
+const NAMES_LEN: u64 = 4096;
+
+/// A file from its first record on.
+pub(super) struct Mcap {
+    records: Chunks,
+    /// The message type of each schema.
+    schemas: HashMap<u16, String>,
+    /// The topic and encoding of each channel with scans.
+    channels: HashMap<u16, (usize, Option<Encoding>)>,
+}
+
+impl Mcap {
+    /// Reads on behind the magic bytes.
+    pub(super) fn new(input: Input) -> Self {
+        Self {
+            records: Chunks::new(input),
+            schemas: HashMap::new(),
+            channels: HashMap::new(),
+        }
+    }
+
+    /// The start of a record, up to the names in it.
+    fn names(&mut self, len: u64) -> Result<Vec<u8>, Stop> {
+        let read = len.min(NAMES_LEN);
+        let names = self.records.load(read as usize)?;
+        self.records.skip(len - read)?;
+        Ok(names)
+    }
+
+    fn schema(&mut self, len: u64) -> Result<(), Stop> {
+        let body = self.names(len)?;
+        let parsed = split_u16(&body).and_then(|(id, rest)| Some((id, split_text(rest)?.0)));
+        let Some((id, name)) = parsed else {
+            return Err(Damage::BagRecord { what: "schema" }.into());
+        };
+        self.schemas.insert(id, name);
+        Ok(())
+    }
+
+    fn channel(&mut self, len: u64, topics: &mut Topics) -> Result<(), Stop> {
+        let body = self.names(len)?;
+        let parsed = split_u16(&body).and_then(|(id, rest)| {
+            let (schema, rest) = split_u16(rest)?;
+            let (topic, rest) = split_text(rest)?;
+            Some((id, schema, topic, split_text(rest)?.0))
+        });
+        let Some((id, schema, topic, encoding)) = parsed else {
+            return Err(Damage::BagRecord { what: "channel" }.into());
+        };
+        let kind = self.schemas.get(&schema).map_or("", String::as_str);
+        if let Some(index) = topics.add(&topic, kind)? {
+            let channel = (index, Encoding::named(&encoding));
+            self.channels.insert(id, channel);
+        }
+        Ok(())
+    }
+
+    /// The message, if its channel has scans.
+    fn message(&mut self, len: u64) -> Result<Option<Message>, Stop> {
+        let mut header = [0; MESSAGE_HEADER_LEN as usize];
+        let Some(data_len) = len.checked_sub(MESSAGE_HEADER_LEN) else {
+            return Err(Damage::BagRecord { what: "message" }.into());
+        };
+        self.records.fill(&mut header)?;
+        let channel = u16::from_le_bytes([header[0], header[1]]);
+        let Some(&(topic, encoding)) = self.channels.get(&channel) else {
+            self.records.skip(data_len)?;
+            return Ok(None);
+        };
+        let bytes = self
+            .records
+            .load(super::bounded(data_len, MAX_MESSAGE_LEN, "message")?)?;
+        Ok(Some(Message {
+            topic,
+            encoding,
+            bytes,
+        }))
+    }
+
+    fn chunk(&mut self, len: u64) -> Result<(), Stop> {
+        let damaged = Damage::BagRecord { what: "chunk" };
+        let mut header = [0; CHUNK_HEADER_LEN as usize + 4];
+        self.records.fill(&mut header)?;
+        let [.., a, b, c, d] = header;
+        let name_len = u64::from(u32::from_le_bytes([a, b, c, d]));
+        let name = self
+            .records
+            .load(super::bounded(name_len, 64, "compression")?)?;
+        let mut records_len = [0; 8];
+        self.records.fill(&mut records_len)?;
+        let records_len = u64::from_le_bytes(records_len);
+        let header_len = CHUNK_HEADER_LEN + 4 + name_len + 8;
+        if header_len.checked_add(records_len) != Some(len) {
+            return Err(damaged.into());
+        }
+        self.records
+            .enter(&String::from_utf8_lossy(&name), records_len)
+    }
+}
+
+impl Log for Mcap {
+    fn next(&mut self, topics: &mut Topics) -> Result<Option<Message>, Stop> {
+        loop {
+            let mut head = [0; 9];
+            if !self.records.begin(&mut head)? {
+                return Err(Damage::Unfinished.into());
+            }
+            let [opcode, len @ ..] = head;
+            let len = u64::from_le_bytes(len);
+            match opcode {
+                SCHEMA => self.schema(len)?,
+                CHANNEL => self.channel(len, topics)?,
+                MESSAGE => {
+                    if let Some(message) = self.message(len)? {
+                        return Ok(Some(message));
+                    }
+                }
+                CHUNK if !self.records.is_in_chunk() => self.chunk(len)?,
+                DATA_END | FOOTER => return Ok(None),
+                // No record has this: a file system fills the end of a file with it.
+                0 => return Err(Damage::BagRecord { what: "type" }.into()),
+                _ => self.records.skip(len)?,
+            }
+        }
+    }
+
+    fn place(&self) -> Place {
+        self.records.place()
+    }
+}
+
+fn split_u16(bytes: &[u8]) -> Option<(u16, &[u8])> {
+    let (&number, rest) = bytes.split_first_chunk()?;
+    Some((u16::from_le_bytes(number), rest))
+}
+
+/// A text with its length before it.
+fn split_text(bytes: &[u8]) -> Option<(String, &[u8])> {
+    let (&len, rest) = bytes.split_first_chunk()?;
+    let (text, rest) = rest.split_at_checked(u32::from_le_bytes(len) as usize)?;
+    Some((String::from_utf8_lossy(text).into_owned(), rest))
+}

@@ -1,0 +1,207 @@
+//! ROS bags written byte by byte, as their formats are specified.
+
+use std::io::Write;
+
+/// The type of the messages, as ROS 2 and ROS 1 name it.
+pub const SCAN: &str = "velodyne_msgs/msg/VelodyneScan";
+pub const ROS1_SCAN: &str = "velodyne_msgs/VelodyneScan";
+
+/// A packet: its stamp in nanoseconds, and the byte that its data repeat.
+pub type Stamped = (i64, u8);
+
+/// A VelodyneScan in CDR, in either byte order.
+pub fn cdr(packets: &[Stamped], big_endian: bool) -> Vec<u8> {
+    let word = |value: u32| {
+        if big_endian {
+            value.to_be_bytes()
+        } else {
+            value.to_le_bytes()
+        }
+    };
+    let mut message = vec![0, u8::from(!big_endian), 0, 0];
+    // The header: seconds, nanoseconds, and a frame id whose length is no multiple of four.
+    message.extend([word(7), word(8), word(6)].as_flattened());
+    message.extend(b"lidar\0\0\0");
+    message.extend(word(packets.len() as u32));
+    for &(stamp_ns, byte) in packets {
+        message.resize(message.len().next_multiple_of(4), 0);
+        let seconds = stamp_ns.div_euclid(1_000_000_000) as i32;
+        let nanoseconds = stamp_ns.rem_euclid(1_000_000_000) as u32;
+        message.extend([word(seconds as u32), word(nanoseconds)].as_flattened());
+        message.extend([byte; 1206]);
+    }
+    message
+}
+
+/// A VelodyneScan as ROS 1 serialises it.
+pub fn ros1_scan(packets: &[Stamped]) -> Vec<u8> {
+    let mut message = [1, 7, 8, 5].map(u32::to_le_bytes).concat();
+    message.extend(b"lidar");
+    message.extend((packets.len() as u32).to_le_bytes());
+    for &(stamp_ns, byte) in packets {
+        let seconds = (stamp_ns / 1_000_000_000) as u32;
+        let nanoseconds = (stamp_ns % 1_000_000_000) as u32;
+        message.extend([seconds, nanoseconds].map(u32::to_le_bytes).as_flattened());
+        message.extend([byte; 1206]);
+    }
+    message
+}
+
+fn text(text: &str) -> Vec<u8> {
+    [&(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat()
+}
+
+/// Compresses as `none`, `zstd`, `lz4` or `bz2`.
+pub fn compress(compression: &str, bytes: &[u8]) -> Vec<u8> {
+    match compression {
+        "none" => bytes.to_vec(),
+        "zstd" => {
+            ruzstd::encoding::compress_to_vec(bytes, ruzstd::encoding::CompressionLevel::Fastest)
+        }
+        "lz4" => {
+            let mut encoder = lz4_flex::frame::FrameEncoder::new(Vec::new());
+            encoder.write_all(bytes).unwrap();
+            encoder.finish().unwrap()
+        }
+        "bz2" => {
+            let level = bzip2::Compression::fast();
+            let mut encoder = bzip2::write::BzEncoder::new(Vec::new(), level);
+            encoder.write_all(bytes).unwrap();
+            encoder.finish().unwrap()
+        }
+        other => panic!("{other} is no compression"),
+    }
+}
+
+pub mod mcap {
+    use super::text;
+
+    pub const MAGIC: &[u8] = b"\x89MCAP0\r\n";
+
+    pub fn record(opcode: u8, body: &[u8]) -> Vec<u8> {
+        [&[opcode][..], &(body.len() as u64).to_le_bytes(), body].concat()
+    }
+
+    pub fn schema(id: u16, name: &str) -> Vec<u8> {
+        let definition = [text("ros2msg"), text("std_msgs/Header header")].concat();
+        record(
+            3,
+            &[&id.to_le_bytes()[..], &text(name), &definition].concat(),
+        )
+    }
+
+    pub fn channel(id: u16, schema: u16, topic: &str, encoding: &str) -> Vec<u8> {
+        let ids = [id, schema].map(u16::to_le_bytes).concat();
+        record(4, &[ids, text(topic), text(encoding), vec![0; 4]].concat())
+    }
+
+    pub fn message(channel: u16, data: &[u8]) -> Vec<u8> {
+        record(5, &[&channel.to_le_bytes()[..], &[0; 20], data].concat())
+    }
+
+    pub fn chunk(compression: &str, records: &[u8]) -> Vec<u8> {
+        let name = if compression == "none" {
+            ""
+        } else {
+            compression
+        };
+        let compressed = super::compress(compression, records);
+        let mut body = vec![0; 16];
+        body.extend((records.len() as u64).to_le_bytes());
+        body.extend([0; 4]);
+        body.extend(text(name));
+        body.extend((compressed.len() as u64).to_le_bytes());
+        body.extend(compressed);
+        record(6, &body)
+    }
+
+    /// A whole file with these records, and the end of the data.
+    pub fn file(records: &[Vec<u8>]) -> Vec<u8> {
+        let header = record(1, &[text("ros2"), text("test")].concat());
+        let end = [record(15, &[0; 4]), record(2, &[0; 20]), MAGIC.to_vec()].concat();
+        [MAGIC, &header, &records.concat(), &end].concat()
+    }
+}
+
+pub mod ros1 {
+    pub const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
+
+    fn fields(fields: &[(&str, &[u8])]) -> Vec<u8> {
+        let mut all = Vec::new();
+        for (name, value) in fields {
+            all.extend((name.len() as u32 + 1 + value.len() as u32).to_le_bytes());
+            all.extend([name.as_bytes(), b"=", value].concat());
+        }
+        all
+    }
+
+    pub fn record(head: &[(&str, &[u8])], data: &[u8]) -> Vec<u8> {
+        let head = fields(head);
+        let lens = [head.len(), data.len()].map(|len| (len as u32).to_le_bytes());
+        [&lens[0][..], &head, &lens[1], data].concat()
+    }
+
+    pub fn connection(number: u32, topic: &str, kind: &str) -> Vec<u8> {
+        let data = fields(&[("topic", topic.as_bytes()), ("type", kind.as_bytes())]);
+        let number = number.to_le_bytes();
+        record(
+            &[("op", &[7]), ("conn", &number), ("topic", topic.as_bytes())],
+            &data,
+        )
+    }
+
+    pub fn message(connection: u32, data: &[u8]) -> Vec<u8> {
+        let number = connection.to_le_bytes();
+        record(&[("op", &[2]), ("conn", &number), ("time", &[0; 8])], data)
+    }
+
+    pub fn chunk(compression: &str, records: &[u8]) -> Vec<u8> {
+        let size = (records.len() as u32).to_le_bytes();
+        record(
+            &[
+                ("op", &[5]),
+                ("compression", compression.as_bytes()),
+                ("size", &size),
+            ],
+            &super::compress(compression, records),
+        )
+    }
+
+    /// A bag with these records. Its header says where the index would begin, if it is finished.
+    pub fn file(is_finished: bool, records: &[Vec<u8>]) -> Vec<u8> {
+        let header = |index: u64| {
+            let index = index.to_le_bytes();
+            [
+                MAGIC,
+                &record(&[("op", &[3]), ("index_pos", &index)], &[b' '; 50]),
+            ]
+            .concat()
+        };
+        let end = header(0).len() + records.concat().len();
+        let index = if is_finished { end as u64 } else { 0 };
+        [header(index), records.concat()].concat()
+    }
+}
+
+/// A database of rosbag2 at this path: topics by name and type, and messages by topic.
+pub fn sqlite(path: &std::path::Path, topics: &[(&str, &str)], messages: &[(usize, Vec<u8>)]) {
+    let mut database = rusqlite::Connection::open(path).unwrap();
+    let tables = "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, \
+        serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL);
+        CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL, \
+        data BLOB NOT NULL);
+        CREATE INDEX timestamp_idx ON messages (timestamp ASC);";
+    database.execute_batch(tables).unwrap();
+    let all = database.transaction().unwrap();
+    for (topic, (name, kind)) in topics.iter().enumerate() {
+        let row = (topic as i64 + 1, name, kind);
+        all.execute("INSERT INTO topics VALUES (?1, ?2, ?3, 'cdr', '')", row)
+            .unwrap();
+    }
+    for (number, (topic, data)) in messages.iter().enumerate() {
+        let row = (*topic as i64 + 1, number as i64, data);
+        all.execute("INSERT INTO messages VALUES (NULL, ?1, ?2, ?3)", row)
+            .unwrap();
+    }
+    all.commit().unwrap();
+}

@@ -1,0 +1,492 @@
+//! Bags made here: every format, compression and byte order; cut at any byte; with several topics,
+//! or none of packets.
+
+use std::io::Cursor;
+use std::path::Path;
+
+use tempfile::TempDir;
+
+use crate::common::bags::{self, ROS1_SCAN, SCAN, Stamped, cdr, mcap, ros1, ros1_scan};
+use sweepd::capture::{Capture, CaptureCounts};
+
+const S: i64 = 1_000_000_000;
+const MS: i64 = 1_000_000;
+
+/// A packet as it was read: time, first and last byte of its data, topic.
+type Read = (i64, [u8; 2], String);
+
+fn open(file: &[u8]) -> Result<Capture, String> {
+    let source = Box::new(Cursor::new(file.to_vec()));
+    Capture::new("drive.bag", source).map_err(|error| error.to_string())
+}
+
+/// All packets, and where it breaks off.
+fn read(mut capture: Capture) -> (Vec<Read>, Option<String>) {
+    let mut all = Vec::new();
+    while let Some(placed) = capture.next_placed().unwrap() {
+        let payload = placed.datagram.payload;
+        assert_eq!((payload.len(), placed.record), (1206, all.len() as u64));
+        let topic = placed.topic.unwrap().to_owned();
+        all.push((
+            placed.datagram.arrival_ns,
+            [payload[0], payload[1205]],
+            topic,
+        ));
+    }
+    assert_eq!(capture.counts().datagrams, all.len() as u64);
+    (all, capture.truncation().map(ToString::to_string))
+}
+
+/// What these packets are read as, on this topic.
+fn expected(packets: &[Stamped], topic: &str) -> Vec<Read> {
+    let read = |&(stamp_ns, byte)| (stamp_ns, [byte; 2], topic.to_owned());
+    packets.iter().map(read).collect()
+}
+
+/// Packets of three messages.
+fn three() -> Vec<Vec<Stamped>> {
+    vec![
+        vec![(1_700_000_000 * S + 1, 1), (1_700_000_000 * S + 2 * MS, 2)],
+        vec![(1_700_000_000 * S + 3 * MS, 3)],
+        vec![(1_700_000_000 * S + 4 * MS, 4), (1_700_000_001 * S, 5)],
+    ]
+}
+
+/// The three messages, each in a chunk of its own.
+fn mcap_of_three(compression: &str, big_endian: bool) -> Vec<u8> {
+    let names = [
+        mcap::schema(3, "std_msgs/msg/String"),
+        mcap::schema(4, SCAN),
+        mcap::channel(1, 3, "/chatter", "cdr"),
+        mcap::channel(2, 4, "/velodyne_packets", "cdr"),
+    ];
+    let mut records = vec![mcap::record(9, &[1; 3000])];
+    for (number, packets) in three().iter().enumerate() {
+        let names = if number == 0 {
+            names.concat()
+        } else {
+            Vec::new()
+        };
+        let messages = [
+            mcap::message(1, &[9; 5000]),
+            mcap::message(2, &cdr(packets, big_endian)),
+        ];
+        records.push(mcap::chunk(
+            compression,
+            &[names, messages.concat()].concat(),
+        ));
+        records.push(mcap::record(7, &[0; 6]));
+    }
+    mcap::file(&records)
+}
+
+fn bag_of_three(compression: &str) -> Vec<u8> {
+    let names = [
+        ros1::connection(8, "/chatter", "std_msgs/String"),
+        ros1::connection(9, "velodyne_packets", ROS1_SCAN),
+    ];
+    let mut records = Vec::new();
+    for (number, packets) in three().iter().enumerate() {
+        let names = if number == 0 {
+            names.concat()
+        } else {
+            Vec::new()
+        };
+        let messages = [
+            ros1::message(8, &[9; 5000]),
+            ros1::message(9, &ros1_scan(packets)),
+        ];
+        records.push(ros1::chunk(
+            compression,
+            &[names, messages.concat()].concat(),
+        ));
+        records.push(ros1::record(&[("op", &[4])], &[0; 12]));
+    }
+    ros1::file(true, &records)
+}
+
+fn database_of_three(folder: &TempDir) -> std::path::PathBuf {
+    let path = folder.path().join("drive ?50%_0.db3");
+    let messages = three().into_iter().flat_map(|packets| {
+        let chatter = (0, vec![9; 5000]);
+        [chatter, (1, cdr(&packets, false))]
+    });
+    let topics = [
+        ("/chatter", "std_msgs/msg/String"),
+        ("/velodyne_packets", SCAN),
+    ];
+    bags::sqlite(&path, &topics, &messages.collect::<Vec<_>>());
+    path
+}
+
+#[test]
+fn a_message_is_read_as_its_specification_says() {
+    let le = cdr(&[(5, 0xAB)], false);
+    // Encapsulation, stamp, length and text of the frame id, its padding, count, stamp of the packet.
+    let head = [
+        [0, 1, 0, 0],
+        [7, 0, 0, 0],
+        [8, 0, 0, 0],
+        [6, 0, 0, 0],
+        *b"lida",
+        *b"r\0\0\0",
+        [1, 0, 0, 0],
+        [0; 4],
+        [5, 0, 0, 0],
+    ];
+    assert_eq!((&le[..36], le.len()), (head.as_flattened(), 36 + 1206));
+    let records = |message: &[u8]| {
+        let names = [mcap::schema(1, SCAN), mcap::channel(0, 1, "points", "cdr")].concat();
+        mcap::file(&[names, mcap::message(0, message)])
+    };
+    let padded = [&le[..], &[0; 2]].concat();
+    for message in [le.clone(), padded, cdr(&[(5, 0xAB)], true)] {
+        let all = read(open(&records(&message)).unwrap());
+        assert_eq!(all, (expected(&[(5, 0xAB)], "/points"), None));
+    }
+    // Before 1970: ROS 2 signs its seconds.
+    let early = cdr(&[(-S / 2, 1)], true);
+    assert_eq!(read(open(&records(&early)).unwrap()).0[0].0, -S / 2);
+    // A byte too many or too few, another encapsulation, a count that is a lie.
+    let mut lies = le.clone();
+    lies[24..28].copy_from_slice(&u32::MAX.to_le_bytes());
+    let mut xml = le.clone();
+    xml[1] = 4;
+    let long = [&le[..], &[0; 4]].concat();
+    for message in [&le[..1000], &le[..10], &long, &lies, &xml, &[]] {
+        let mut capture = open(&records(message)).unwrap();
+        assert!(capture.next_datagram().unwrap().is_none());
+        let counts = CaptureCounts {
+            records: 1,
+            malformed: 1,
+            ..CaptureCounts::default()
+        };
+        assert_eq!(capture.counts(), counts);
+    }
+}
+
+#[test]
+fn every_format_and_compression_gives_the_same_packets() {
+    let folder = tempfile::tempdir().unwrap();
+    let all = (expected(&three().concat(), "/velodyne_packets"), None);
+    for compression in ["none", "zstd", "lz4"] {
+        for big_endian in [false, true] {
+            let file = mcap_of_three(compression, big_endian);
+            assert_eq!(read(open(&file).unwrap()), all, "{compression}");
+            assert_eq!(read(open(&bags::compress("zstd", &file)).unwrap()), all);
+        }
+    }
+    for compression in ["none", "lz4", "bz2"] {
+        assert_eq!(
+            read(open(&bag_of_three(compression)).unwrap()),
+            all,
+            "{compression}"
+        );
+    }
+    let path = database_of_three(&folder);
+    assert_eq!(read(Capture::open(&path).unwrap()), all);
+    assert_eq!(
+        Capture::open(&path).unwrap().bag_format(),
+        Some("rosbag2 database")
+    );
+    // An MCAP file of ROS 1 messages, compressed one by one as rosbag2 can.
+    let names = [
+        mcap::schema(1, ROS1_SCAN),
+        mcap::channel(0, 1, "velodyne_packets", "ros1"),
+    ];
+    let messages = three()
+        .into_iter()
+        .map(|packets| mcap::message(0, &bags::compress("zstd", &ros1_scan(&packets))));
+    let file = mcap::file(&[names.concat(), messages.collect::<Vec<_>>().concat()]);
+    assert_eq!(read(open(&file).unwrap()), all);
+}
+
+/// Reads each part of a bag from its start: the first packets and no others, and more from a longer
+/// part.
+fn cut(
+    file: &[u8],
+    lens: impl Iterator<Item = usize>,
+    open: impl Fn(&[u8]) -> Result<Capture, String>,
+) {
+    let all = expected(&three().concat(), "/velodyne_packets");
+    let mut most = 0;
+    for len in lens {
+        match open(&file[..len]) {
+            Ok(capture) => {
+                let (some, end) = read(capture);
+                // Of a database that ends inside a page the last message is not trusted.
+                assert!(
+                    some.len() + 2 >= most && some[..] == all[..some.len()],
+                    "{len}"
+                );
+                most = most.max(some.len());
+                if some.len() < all.len() {
+                    let end = end.expect("it is cut");
+                    assert!(end.starts_with("the capture breaks off at record"), "{end}");
+                }
+            }
+            Err(error) => {
+                assert!(most == 0 && error.contains("drive"), "{len}: {error}");
+                let is_told = ["is no capture", "is a bag without", "breaks off"];
+                assert!(is_told.iter().any(|part| error.contains(part)), "{error}");
+            }
+        }
+    }
+    assert_eq!(most, all.len());
+}
+
+#[test]
+fn a_bag_that_is_cut_gives_what_it_holds_and_says_where_it_ends() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut files: Vec<Vec<u8>> = ["none", "zstd", "lz4"]
+        .map(|compression| mcap_of_three(compression, false))
+        .to_vec();
+    files.extend(["none", "lz4", "bz2"].map(bag_of_three));
+    for file in files {
+        let lens = (0..=file.len()).step_by(7).chain([file.len()]);
+        cut(&file, lens, open);
+    }
+    let path = database_of_three(&folder);
+    let file = std::fs::read(&path).unwrap();
+    let other = folder.path().join("drive_1.db3");
+    cut(
+        &file,
+        (0..file.len()).step_by(512).chain([file.len()]),
+        |part| {
+            std::fs::write(&other, part).unwrap();
+            Capture::open(&other).map_err(|error| error.to_string())
+        },
+    );
+}
+
+#[test]
+fn what_a_stopped_recorder_leaves_is_read() {
+    let finished = mcap_of_three("zstd", false);
+    // Without the end of the data, the footer and the magic bytes.
+    let (all, end) = read(open(&finished[..finished.len() - 13 - 29 - 8]).unwrap());
+    assert_eq!(all, expected(&three().concat(), "/velodyne_packets"));
+    let says = "the bag is unfinished: its recorder was stopped before it wrote the end";
+    assert!(end.unwrap().ends_with(says));
+
+    // roscpp writes the length of a chunk when the chunk is full.
+    let open_chunk = [
+        ros1::record(
+            &[("op", &[5]), ("compression", b"none"), ("size", &[0; 4])],
+            &[],
+        ),
+        ros1::connection(0, "/velodyne_packets", ROS1_SCAN),
+        ros1::message(0, &ros1_scan(&[(5, 1), (6, 2)])),
+    ];
+    let (all, end) = read(open(&ros1::file(false, &open_chunk)).unwrap());
+    assert_eq!(all, expected(&[(5, 1), (6, 2)], "/velodyne_packets"));
+    assert!(end.unwrap().ends_with(says));
+}
+
+#[test]
+fn a_write_ahead_log_beside_a_database_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = database_of_three(&folder);
+    let writer = rusqlite::Connection::open(&path).unwrap();
+    let mode: String = writer
+        .query_row("PRAGMA journal_mode = WAL", [], |row| row.get(0))
+        .unwrap();
+    assert_eq!(mode, "wal");
+    let message = cdr(&[(1_700_000_002 * S, 6)], false);
+    writer
+        .execute("INSERT INTO messages VALUES (NULL, 2, 99, ?1)", [message])
+        .unwrap();
+    // As the recorder leaves it when it is killed.
+    let killed = tempfile::tempdir().unwrap();
+    for file in ["drive ?50%_0.db3", "drive ?50%_0.db3-wal"] {
+        std::fs::copy(folder.path().join(file), killed.path().join(file)).unwrap();
+    }
+    let (all, end) = read(Capture::open(killed.path()).unwrap());
+    assert_eq!((all.len(), all[5].1, end), (6, [6; 2], None));
+}
+
+#[test]
+fn each_topic_is_a_sensor_and_packets_come_in_the_order_of_time() {
+    let names = [
+        mcap::schema(1, SCAN),
+        mcap::channel(0, 1, "/left", "cdr"),
+        mcap::channel(1, 1, "/right", "cdr"),
+        mcap::channel(2, 1, "/silent", "cdr"),
+    ];
+    let scan = |channel: u16, start_ms: i64| {
+        let packets: Vec<Stamped> = (0..4)
+            .map(|n| ((start_ms + 10 * n) * MS, channel as u8))
+            .collect();
+        mcap::message(channel, &cdr(&packets, false))
+    };
+    let scans = [
+        scan(0, 0),
+        scan(1, 5),
+        scan(0, 40),
+        scan(1, 45),
+        scan(0, 80),
+    ];
+    let mut capture = open(&mcap::file(&[names.concat(), scans.concat()])).unwrap();
+    let mut sensors = sweepd::admission::DiscoveredSensors::default();
+    let mut times = Vec::new();
+    let mut sources = std::collections::HashMap::new();
+    while let Some(placed) = capture.next_placed().unwrap() {
+        let topic = placed.topic.unwrap().to_owned();
+        let source = *sources.entry(topic).or_insert(placed.datagram.source);
+        assert_eq!(source, placed.datagram.source);
+        let _ = sensors.admit_from(&placed.datagram, placed.topic);
+        times.push(placed.datagram.arrival_ns / MS);
+    }
+    assert_eq!((times.len(), sources.len()), (20, 2));
+    // The second topic is not known before its first message: up to there nothing waits for it.
+    assert!(times[4..].is_sorted(), "{times:?}");
+}
+
+#[test]
+fn a_bag_without_packets_says_what_it_has() {
+    let names = |count: u16| {
+        let mut names = mcap::schema(1, "sensor_msgs/msg/PointCloud2");
+        for id in 0..count {
+            names.extend(mcap::channel(id, 1, &format!("/points{id}"), "cdr"));
+        }
+        mcap::file(&[names, mcap::message(0, &[7; 100])])
+    };
+    let error = open(&names(2)).err().unwrap();
+    assert_eq!(
+        error,
+        "drive.bag is a bag without velodyne_msgs/VelodyneScan, the packets of a sensor: it has \
+         /points0 (sensor_msgs/msg/PointCloud2), /points1 (sensor_msgs/msg/PointCloud2). Record the \
+         driver's packets too, often /velodyne_packets: points do not become packets again"
+    );
+    let error = open(&names(500)).err().unwrap();
+    assert!(error.contains(" and 480 more. Record"), "{error}");
+    let none = open(&ros1::file(true, &[])).err().unwrap();
+    assert!(none.contains("it has no topics. Record"), "{none}");
+    // A topic that has no message yet is no mistake.
+    let names = [mcap::schema(1, SCAN), mcap::channel(0, 1, "/left", "cdr")];
+    assert_eq!(read(open(&mcap::file(&names)).unwrap()), (vec![], None));
+}
+
+#[test]
+fn lengths_that_are_lies_are_refused_or_end_the_reading() {
+    let names = [mcap::schema(1, SCAN), mcap::channel(0, 1, "/left", "cdr")].concat();
+    let good = mcap::message(0, &cdr(&[(5, 1)], false));
+    let lie =
+        |opcode: u8, len: u64, body: &[u8]| [&[opcode][..], &len.to_le_bytes(), body].concat();
+    let chunk = |compression: &str, len: u64| {
+        let name = [
+            &(compression.len() as u32).to_le_bytes()[..],
+            compression.as_bytes(),
+        ]
+        .concat();
+        let body = [&[0; 28][..], &name, &len.to_le_bytes(), &[1; 9]].concat();
+        lie(6, body.len() as u64, &body)
+    };
+    let beyond = mcap::chunk("none", &lie(5, 5000, &[0; 100]));
+    for (record, says) in [
+        (
+            lie(5, u64::MAX, &[0; 22]),
+            "its message claims 18446744073709551593 bytes, more than the 16777216",
+        ),
+        (lie(5, 10 << 20, &[0; 22]), "the file ends inside it"),
+        (lie(5, 3, &[0; 22]), "its message is damaged"),
+        (lie(99, u64::MAX, &[]), "the file ends inside it"),
+        (lie(3, 3, &[0; 3]), "its schema is damaged"),
+        (lie(4, 6, &[0, 0, 1, 0, 9, 9]), "its channel is damaged"),
+        (lie(0, 0, &[0; 100]), "its type is damaged"),
+        (chunk("", u64::MAX), "its chunk is damaged"),
+        (
+            chunk("lzma", 9),
+            "its chunk is compressed with `lzma`; expected none, lz4, zstd or bz2",
+        ),
+        (
+            chunk(&"x".repeat(99), 9),
+            "its compression claims 99 bytes, more than the 64",
+        ),
+        (chunk("zstd", 9), "the zstd stream is cut or corrupt"),
+        (chunk("lz4", 9), "the lz4 stream is cut or corrupt"),
+        (chunk("bz2", 9), "the bzip2 stream is cut or corrupt"),
+        (beyond, "a record reaches beyond the end of its chunk"),
+    ] {
+        let offset = 8 + 9 + 16 + names.len() + good.len();
+        let file = mcap::file(&[names.clone(), good.clone(), record]);
+        let (all, end) = read(open(&file).unwrap());
+        let end = end.expect(says);
+        assert_eq!(all.len(), 1);
+        let place = format!("the capture breaks off at record 1 (byte {offset}): ");
+        assert!(
+            end.starts_with(&place) && end.contains(says),
+            "{end}\n{says}"
+        );
+    }
+    // 1200 bytes hold no field; a header of four gigabytes.
+    let head = ros1::connection(0, "/left", ROS1_SCAN);
+    let good = ros1::message(0, &ros1_scan(&[(5, 1)]));
+    for (record, says) in [
+        (
+            vec![0xFF; 100],
+            "its header claims 4294967295 bytes, more than the 1048576",
+        ),
+        (
+            [0_u32; 2].map(u32::to_le_bytes).concat(),
+            "its header is damaged",
+        ),
+        (
+            ros1::record(&[("op", &[7])], &[]),
+            "its connection is damaged",
+        ),
+    ] {
+        let file = ros1::file(true, &[head.clone(), good.clone(), record]);
+        let (all, end) = read(open(&file).unwrap());
+        let end = end.expect(says);
+        assert!(all.len() == 1 && end.contains(says), "{end}\n{says}");
+    }
+}
+
+#[test]
+fn a_database_with_a_view_in_place_of_a_table_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.db3");
+    bags::sqlite(&path, &[("/left", SCAN)], &[]);
+    let database = rusqlite::Connection::open(&path).unwrap();
+    let endless = "WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM n) \
+        SELECT -id AS id, 1 AS topic_id, 1 AS timestamp, x'' AS data FROM n WHERE id < 0";
+    database
+        .execute_batch(&format!(
+            "DROP TABLE messages; CREATE VIEW messages AS {endless}"
+        ))
+        .unwrap();
+    let (all, end) = read(Capture::open(&path).unwrap());
+    assert!(all.is_empty() && end.unwrap().contains("SQLite says: "));
+}
+
+#[test]
+fn a_folder_is_read_in_the_order_of_its_numbers() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = |path: &Path| Capture::open(path).err().unwrap().to_string();
+    assert!(error(folder.path()).contains("it holds a folder without .mcap, .db3 or .bag files"));
+    std::fs::write(
+        folder.path().join("metadata.yaml"),
+        "rosbag2_bagfile_information:",
+    )
+    .unwrap();
+    let mut all = Vec::new();
+    for number in 0..11 {
+        let packet = [(i64::from(number), number as u8)];
+        all.extend(packet);
+        let names = [mcap::schema(1, SCAN), mcap::channel(0, 1, "/left", "cdr")].concat();
+        let file = mcap::file(&[names, mcap::message(0, &cdr(&packet, false))]);
+        std::fs::write(folder.path().join(format!("drive_{number}.mcap")), file).unwrap();
+    }
+    let (read_all, end) = read(Capture::open(folder.path()).unwrap());
+    assert_eq!((read_all, end), (expected(&all, "/left"), None));
+    // The last one is cut.
+    let last = folder.path().join("drive_10.mcap");
+    let file = std::fs::read(&last).unwrap();
+    std::fs::write(&last, &file[..file.len() - 100]).unwrap();
+    let (read_all, end) = read(Capture::open(folder.path()).unwrap());
+    assert_eq!(read_all, expected(&all[..10], "/left"));
+    assert!(
+        end.unwrap()
+            .contains(" of drive_10.mcap): the file ends inside it")
+    );
+}
