@@ -148,13 +148,16 @@ fn describe_capture(capture: &Capture, sensors: &DiscoveredSensors) -> String {
     if let Some(format) = capture.bag_format() {
         row(&mut text, "format", format);
         let mut records = count_of(counts.datagrams, "packet");
-        for (count, what) in [
-            (sensors.others(), "that no Velodyne sends"),
-            (counts.malformed, "that no message of packets is"),
-        ] {
-            if count > 0 {
-                let _ = write!(records, ", {} {what}", grouped(count));
-            }
+        if sensors.others() > 0 {
+            let others = grouped(sensors.others());
+            let _ = write!(records, ", {others} of them not of a Velodyne");
+        }
+        if counts.malformed > 0 {
+            let malformed = count_of(counts.malformed, "message");
+            let _ = write!(
+                records,
+                "; {malformed} on their topics without a VelodyneScan"
+            );
         }
         row(&mut text, "records", records);
     } else {

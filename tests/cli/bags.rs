@@ -132,6 +132,8 @@ fn a_bag_gives_the_bytes_that_its_capture_gives() {
                 );
             }
         }
+        let text = inspect(&bags.path().join("sqlite")).done();
+        assert!(text.contains("rosbag2 database") && text.contains("\n/velodyne_packets\n"));
         let error = replay(&bags.path().join("empty"), &[]);
         error.says(&[
             "is a bag without velodyne_msgs/VelodyneScan",

@@ -2,6 +2,7 @@
 
 use std::process::Stdio;
 
+use crate::common::bags::{self, mcap};
 use crate::{
     Folder, Ran, command, common, fixture, inspect, made, replay, sweepd, sweepd_with_stdin,
 };
@@ -37,6 +38,32 @@ fn what_is_no_capture_is_named_by_both_commands() {
             ran.says(&[path.to_str().unwrap().trim_end_matches('/'), why]);
         }
     }
+}
+
+#[test]
+fn a_bag_without_packets_of_a_sensor_says_what_it_holds_instead() {
+    let folder = Folder::new("no-scan");
+    let channel = |kind: &str| [mcap::schema(1, kind), mcap::channel(0, 1, "/top", "cdr")].concat();
+    let clouds = mcap::file(&[channel("sensor_msgs/msg/PointCloud2")]);
+    let path = folder.write("clouds.mcap", clouds);
+    for ran in [replay(&path, &["--json"]), inspect(&path)] {
+        assert_eq!((ran.code, &ran.stdout[..]), (1, ""));
+        ran.says(&[
+            "clouds.mcap is a bag without",
+            "/top (sensor_msgs/msg/PointCloud2)",
+        ]);
+    }
+    let messages = [
+        mcap::message(0, &bags::cdr(&[(5, 9); 3], false)),
+        mcap::message(0, b"no scan"),
+    ];
+    let bag = mcap::file(&[channel(bags::SCAN), messages.concat()]);
+    let path = folder.write("others.mcap", bag);
+    replay(&path, &[]).says(&["others.mcap: no Velodyne data packets (3 packets);"]);
+    let text = inspect(&path).done();
+    let records =
+        "3 packets, 3 of them not of a Velodyne; 1 message on their topics without a VelodyneScan";
+    assert!(text.contains("MCAP") && text.contains(records), "{text}");
 }
 
 #[test]

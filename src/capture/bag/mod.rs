@@ -28,6 +28,7 @@ const MAX_MESSAGE_LEN: u64 = 16 << 20;
 /// Scans are read ahead up to here, to put the packets of several topics in order.
 const MAX_WAITING: usize = 4 << 20;
 const MAX_TOPICS: usize = 1024;
+const MAX_TOPIC_LEN: u64 = 4096;
 /// Most topics that a message lists.
 const MAX_LISTED: usize = 20;
 /// Longest name of a topic or type in a message.
@@ -70,9 +71,9 @@ impl Message {
 #[derive(Default)]
 struct Topics {
     scans: Vec<Topic>,
-    /// The first others, for a message, and how many more there are.
+    /// The first others, for a message, and whether there are more.
     others: Vec<String>,
-    more: usize,
+    has_more: bool,
 }
 
 struct Topic {
@@ -86,6 +87,7 @@ struct Topic {
 impl Topics {
     /// Notes a topic with messages of this type. Its index, if these are scans.
     fn add(&mut self, name: &str, kind: &str) -> Result<Option<usize>, Stop> {
+        bounded(name.len() as u64, MAX_TOPIC_LEN, "topic")?;
         let name = format!("/{}", name.trim_start_matches('/'));
         let is_scans = matches!(
             kind,
@@ -125,17 +127,17 @@ impl Topics {
         if self.others.len() < MAX_LISTED {
             self.others.push(other);
         } else {
-            self.more += 1;
+            self.has_more = true;
         }
     }
 
     /// What there is in place of scans.
     fn list_others(&self) -> String {
-        match (self.others.is_empty(), self.more) {
-            (true, _) => "it has no topics".to_owned(),
-            (false, 0) => format!("it has {}", self.others.join(", ")),
-            (false, more) => format!("it has {} and {more} more", self.others.join(", ")),
+        if self.others.is_empty() {
+            return "it has no topics".to_owned();
         }
+        let more = if self.has_more { ", and more" } else { "" };
+        format!("it has {}{more}", self.others.join(", "))
     }
 
     /// The topic whose next packet is the earliest.

@@ -61,9 +61,12 @@ fn missing(
     if reports.is_empty() && missing.is_empty() {
         let counts = capture.counts();
         let records = count_of(counts.records, "record");
-        let datagrams = count_of(counts.datagrams, "UDP datagram");
+        let read = match capture.bag_format() {
+            Some(_) => count_of(counts.datagrams, "packet"),
+            None => format!("{records}, {}", count_of(counts.datagrams, "UDP datagram")),
+        };
         missing.push(format!(
-            "no Velodyne data packets{part} ({records}, {datagrams}); `sweepd inspect` says what is in it"
+            "no Velodyne data packets{part} ({read}); `sweepd inspect` says what is in it"
         ));
     }
     if !reports.is_empty() && reports.iter().all(|report| report.counts.data == 0) {
