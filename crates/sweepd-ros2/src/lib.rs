@@ -18,6 +18,7 @@
 #![warn(missing_docs)]
 
 pub mod environment;
+pub mod log;
 pub mod node;
 mod rtps;
 

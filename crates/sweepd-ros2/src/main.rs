@@ -4,7 +4,6 @@
 
 mod bridge;
 mod health;
-mod log;
 mod names;
 mod parameters;
 mod ros_args;
@@ -26,7 +25,7 @@ use signal_hook::flag;
 use sweepd_client::client::{Client, Domain};
 use sweepd_client::publish::{NAME_RULE, is_sensor_name};
 use sweepd_messages::message_type::{DIAGNOSTIC_ARRAY, TF_MESSAGE};
-use sweepd_ros2::{Durability, Environment, Node, NodeError, Publisher};
+use sweepd_ros2::{Durability, Environment, Node, NodeError, Publisher, log};
 
 use crate::bridge::{Bridge, Seen, Topic};
 use crate::health::Diagnostics;

@@ -4,7 +4,7 @@
 //! host the kernel says how full that is (`NETLINK_SOCK_DIAG`, sock_diag(7)); so a fragment is sent
 //! when it fits. A reader that makes us wait longer than [`PATIENCE`] in one sample loses the rest of
 //! it, and gets no patience until its buffer is half free. Where the kernel cannot say, the pace is
-//! fixed. Readers wait for none of the others: deliveries take turns.
+//! fixed, and takes no patience. Readers wait for none of the others: deliveries take turns.
 
 use super::discovery::Place;
 use super::sockets::Sockets;
@@ -212,7 +212,10 @@ struct Room {
 /// What became of a datagram.
 enum Outcome {
     Sent,
+    /// The reader, or the network, takes no more now.
     NotNow,
+    /// The pace allows no more now.
+    TooSoon,
     /// No such socket, or no way there.
     Gone,
 }
@@ -295,13 +298,12 @@ impl Link {
         if room.bytes > 0.0 {
             Ok(datagram as f64)
         } else {
-            Err(Outcome::NotNow)
+            Err(Outcome::TooSoon)
         }
     }
 }
 
-/// A heartbeat that goes behind the last fragment: its count is taken when it leaves.
-#[derive(Clone)]
+/// A heartbeat that goes behind the last fragment: its count is taken then.
 pub struct Pulse {
     /// The writer's oldest sample.
     pub first: u64,
@@ -347,6 +349,7 @@ pub struct Delivery {
 pub struct Progress {
     /// Fragments that need no further look.
     done: u32,
+    heartbeat: Option<Heartbeat>,
     waits_since: Option<Instant>,
     waited: Duration,
 }
@@ -389,8 +392,9 @@ impl Delivery {
             let parts = [ahead.bytes(), part, behind.bytes()].map(IoSlice::new);
             match self.link.send(transport, &parts) {
                 Outcome::Sent => {}
-                Outcome::NotNow if turn > 0 => return Step::Sent,
+                Outcome::NotNow | Outcome::TooSoon if turn > 0 => return Step::Sent,
                 Outcome::NotNow => return self.wait(),
+                Outcome::TooSoon => return Step::Waits,
                 Outcome::Gone => return Step::Gone,
             }
             self.progress.done = number;
@@ -430,13 +434,14 @@ impl Delivery {
     }
 
     /// What stands behind it: after the last, a heartbeat.
-    fn behind(&self, number: u32, fragments: Fragments) -> Message {
+    fn behind(&mut self, number: u32, fragments: Fragments) -> Message {
         let mut behind = Message::empty();
-        if let Some(pulse) = &self.pulse
-            && self.next_fragment(fragments, number).is_none()
-        {
+        let last = self.next_fragment(fragments, number).is_none();
+        if let Some(pulse) = self.pulse.as_ref().filter(|_| last) {
             let reader = self.reader.map_or(ANY_READER, |reader| reader.entity);
-            behind.heartbeat(reader, self.writer.entity, pulse.beat());
+            // One count, however often the fragment finds no room: counts must last for years.
+            let heartbeat = self.progress.heartbeat.get_or_insert_with(|| pulse.beat());
+            behind.heartbeat(reader, self.writer.entity, *heartbeat);
         }
         behind
     }

@@ -3,7 +3,7 @@
 //! One thread receives, and sends what is small; another repairs. Samples leave in the thread that
 //! writes them. The state is locked for moments only, and never while something is sent.
 
-use super::discovery::{Discovery, ParticipantData, ReaderData};
+use super::discovery::{Discovery, ParticipantData, Place, ReaderData};
 use super::flow::{self, Delivery, Link, SocketMemory, Step, Transport, lock};
 use super::parameters::{self, ParameterList};
 use super::sockets::Sockets;
@@ -11,6 +11,7 @@ use super::sys;
 use super::wire::{self, EntityId, Guid, Message, Prefix, Route, Submessage};
 use super::writer::{Body, Counters, Match, Offer, Outbox, ReaderCount, Writer};
 use crate::environment::{DiscoveryRange, Environment};
+use crate::log;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{self, Read};
@@ -52,10 +53,9 @@ struct State {
     discovery: Discovery,
     /// Our writers; the first tells of the others.
     writers: BTreeMap<EntityId, (Option<Offer>, Writer)>,
-    links: BTreeMap<SocketAddrV4, Arc<Link>>,
+    ways: Ways,
     /// The addresses of this host.
     addresses: Vec<Ipv4Addr>,
-    warned: BTreeSet<Guid>,
     entities: u32,
     acknacks: u32,
 }
@@ -140,13 +140,10 @@ impl Participant {
             turn: Arc::clone(&writer.turn),
         };
         let State {
-            discovery,
-            links,
-            warned,
-            ..
+            discovery, ways, ..
         } = &mut *state;
         for reader in discovery.readers() {
-            match_reader(&offer, &mut writer, reader, links, warned, &mut out);
+            ways.join(&offer, &mut writer, reader, &mut out);
         }
         let publication = publication(guid, self.guid(), &offer);
         state.writers.insert(guid.entity, (Some(offer), writer));
@@ -246,33 +243,49 @@ fn publication(guid: Guid, participant: Guid, offer: &Offer) -> Vec<u8> {
     list.end()
 }
 
-/// Gives a reader to a writer that it matches. One that asks for more than is offered is told of.
-fn match_reader(
-    offer: &Offer,
-    writer: &mut Writer,
-    reader: &ReaderData,
-    links: &mut BTreeMap<SocketAddrV4, Arc<Link>>,
-    warned: &mut BTreeSet<Guid>,
-    out: &mut Outbox,
-) {
-    match offer.matches(reader) {
-        Match::No => {}
-        Match::Yes => {
-            let link = links
-                .entry(reader.place.address)
-                .or_insert_with(|| Arc::new(Link::new(reader.place)));
-            writer.add_reader(reader, Arc::clone(link), Instant::now(), out);
-        }
-        Match::AsksFor(what) => {
-            if warned.len() < MAX_WARNINGS && warned.insert(reader.guid) {
-                let topic = offer.topic.trim_start_matches("rt/");
-                eprintln!(
-                    "topic {topic}: a subscriber at {} asks for {what}, which is not offered: it \
-                     gets nothing until it asks for less",
-                    reader.place.address
-                );
+/// The ways to readers, which all writers share.
+#[derive(Default)]
+struct Ways {
+    links: BTreeMap<SocketAddrV4, Arc<Link>>,
+    /// Readers that ask for more than is offered, and were told of.
+    warned: BTreeSet<Guid>,
+}
+
+impl Ways {
+    fn link(&mut self, place: Place) -> Arc<Link> {
+        let link = self.links.entry(place.address);
+        Arc::clone(link.or_insert_with(|| Arc::new(Link::new(place))))
+    }
+
+    /// Gives a reader to a writer that it matches. One that asks for more than is offered is told
+    /// of.
+    fn join(&mut self, offer: &Offer, writer: &mut Writer, reader: &ReaderData, out: &mut Outbox) {
+        match offer.matches(reader) {
+            Match::No => {}
+            Match::Yes => {
+                let link = self.link(reader.place);
+                writer.add_reader(reader, link, Instant::now(), out);
+            }
+            Match::AsksFor(what) => {
+                if self.warned.len() < MAX_WARNINGS && self.warned.insert(reader.guid) {
+                    let topic = offer.topic.trim_start_matches("rt");
+                    log::warn(format_args!(
+                        "{topic}: a subscriber at {} asks for {what}, which is not offered: it \
+                         gets nothing until it asks for less",
+                        reader.place.address
+                    ));
+                }
             }
         }
+    }
+
+    fn forget(&mut self, prefix: Prefix) {
+        self.warned.retain(|guid| guid.prefix != prefix);
+        self.drop_unused();
+    }
+
+    fn drop_unused(&mut self) {
+        self.links.retain(|_, link| Arc::strong_count(link) > 1);
     }
 }
 
@@ -288,9 +301,8 @@ impl Shared {
         let state = State {
             discovery: Discovery::default(),
             writers: BTreeMap::from([(wire::PUBLICATIONS_WRITER, publications)]),
-            links: BTreeMap::new(),
+            ways: Ways::default(),
             addresses: sys::addresses()?,
-            warned: BTreeSet::new(),
             entities: 0,
             acknacks: 0,
         };
@@ -572,7 +584,7 @@ impl Shared {
                 for (_, writer) in state.writers.values_mut() {
                     writer.remove_readers(|guid| Some(guid) == key);
                 }
-                state.drop_unused_links();
+                state.ways.drop_unused();
             }
             Submessage::Data {
                 writer: wire::SUBSCRIPTIONS_WRITER,
@@ -652,18 +664,13 @@ impl Shared {
         let acknack = self.acknack(state, prefix, &nothing);
         out.message(place.address, acknack);
         let reader = ReaderData::of_publications(prefix, place);
-        let link = Arc::clone(
-            state
-                .links
-                .entry(place.address)
-                .or_insert_with(|| Arc::new(Link::new(place))),
-        );
+        let link = state.ways.link(place);
         if let Some((_, publications)) = state.writers.get_mut(&wire::PUBLICATIONS_WRITER) {
             publications.remove_readers(|guid| guid == reader.guid);
             publications.add_reader(&reader, link, Instant::now(), out);
         }
         // One that was here before may have moved.
-        state.drop_unused_links();
+        state.ways.drop_unused();
     }
 }
 
@@ -672,32 +679,21 @@ impl State {
         for (_, writer) in self.writers.values_mut() {
             writer.remove_readers(|guid| guid.prefix == prefix);
         }
-        self.warned.retain(|guid| guid.prefix != prefix);
-        self.drop_unused_links();
-    }
-
-    fn drop_unused_links(&mut self) {
-        self.links.retain(|_, link| Arc::strong_count(link) > 1);
+        self.ways.forget(prefix);
     }
 
     fn subscription(&mut self, prefix: Prefix, number: u64, payload: &[u8], out: &mut Outbox) {
-        let Self {
-            discovery,
-            writers,
-            links,
-            addresses,
-            warned,
-            ..
-        } = self;
-        let Some(reader) = discovery.subscription(prefix, number, payload, addresses) else {
+        let own = &self.addresses;
+        let Some(reader) = self.discovery.subscription(prefix, number, payload, own) else {
             return;
         };
-        for (offer, writer) in writers.values_mut() {
+        for (offer, writer) in self.writers.values_mut() {
             if let Some(offer) = offer {
-                match_reader(offer, writer, reader, links, warned, out);
+                self.ways.join(offer, writer, reader, out);
             }
         }
-        self.drop_unused_links();
+        // One that was here before may have moved.
+        self.ways.drop_unused();
     }
 }
 

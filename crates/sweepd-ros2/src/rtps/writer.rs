@@ -170,7 +170,7 @@ struct Reader {
     next_heartbeat: Instant,
     interval: Duration,
     skipped: u64,
-    /// When samples were last sent again: those that are still in the history.
+    /// When samples were last sent again, of late.
     repaired: BTreeMap<u64, Instant>,
 }
 
@@ -300,6 +300,9 @@ impl Writer {
     pub fn remove_readers(&mut self, gone: impl Fn(Guid) -> bool) {
         self.readers.retain(|guid, _| !gone(*guid));
         self.reader_count_changed();
+        if self.readers.is_empty() && !self.transient_local {
+            self.history.clear();
+        }
     }
 
     /// An old buffer to write a new sample into, empty.
@@ -318,16 +321,14 @@ impl Writer {
             stamp: wire::now(),
             body,
         });
+        // Best-effort readers ask for nothing again.
         let reliable = self.readers.values().any(|reader| reader.reliable);
-        if reliable || self.transient_local {
+        let keep = reliable || self.transient_local;
+        if keep {
             self.history.push_back(Arc::clone(&sample));
         }
-        let kept = if reliable || self.transient_local {
-            self.depth
-        } else {
-            0
-        };
-        while self.history.len() > kept
+        let depth = if keep { self.depth } else { 0 };
+        while self.history.len() > depth
             && let Some(old) = self.history.pop_front()
         {
             self.recycle(old);
@@ -357,14 +358,15 @@ impl Writer {
     /// The sample is sent; `ended` says how each delivery did.
     pub fn finish(&mut self, ended: Vec<(Delivery, Step)>, now: Instant) {
         self.complete += 1;
-        let first = self.first();
         for reader in self.readers.values_mut() {
             reader.ask_after(HEARTBEAT_INTERVAL, now);
             let lost = ended.iter().any(|(delivery, step)| {
                 *step == Step::Lost && Arc::ptr_eq(&delivery.link, &reader.link)
             });
             reader.skipped += u64::from(lost);
-            reader.repaired = reader.repaired.split_off(&first);
+            reader
+                .repaired
+                .retain(|_, at| now.duration_since(*at) < REPAIR_INTERVAL);
         }
         if !ended.is_empty() {
             self.counters.written.fetch_add(1, Ordering::Relaxed);

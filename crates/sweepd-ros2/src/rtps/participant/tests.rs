@@ -146,8 +146,8 @@ fn take(participant: &Participant, datagram: &[u8]) -> Outbox {
     let state = lock(&participant.shared.state);
     let (participants, readers) = state.discovery.counts();
     assert!(participants <= MAX_PARTICIPANTS && readers <= MAX_READERS);
-    assert!(state.links.len() <= participants + readers);
-    assert!(state.warned.len() <= MAX_WARNINGS);
+    assert!(state.ways.links.len() <= participants + readers);
+    assert!(state.ways.warned.len() <= MAX_WARNINGS);
     out
 }
 
