@@ -25,6 +25,11 @@ const WINDOW: u64 = 256;
 /// A lease may be infinite; a participant that is gone is forgotten all the same.
 const LONGEST_LEASE: Duration = Duration::from_secs(3600);
 
+/// How often, at most, and in which interval a participant is told of us that does not know us.
+/// The end of it keeps two that have nothing to tell each other from answering for ever.
+const TELLS: u32 = 8;
+const TELL_INTERVAL: Duration = Duration::from_millis(50);
+
 /// Seconds of an infinite time.
 const INFINITE_SECONDS: u32 = 0x7fff_ffff;
 
@@ -252,9 +257,24 @@ impl Received {
     }
 }
 
+/// What it means that a participant says that it is there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum News {
+    /// It was not known, or is at another place now.
+    New,
+    /// It is known, but does not seem to know us.
+    Unaware,
+    /// Nothing.
+    Known,
+}
+
 struct Participant {
     data: ParticipantData,
     heard: Instant,
+    /// When it is to be told of us again, and how often. One that has only just begun hears
+    /// nothing yet when it first says that it is there.
+    tell_again: Instant,
+    tells_left: u32,
     subscriptions: Received,
     readers: BTreeMap<EntityId, ReaderData>,
 }
@@ -267,26 +287,35 @@ pub struct Discovery {
 }
 
 impl Discovery {
-    /// A participant says that it is there; whether that is news, or it is at another
-    /// place now.
-    pub fn participant(&mut self, prefix: Prefix, data: ParticipantData, now: Instant) -> bool {
+    /// A participant says that it is there.
+    pub fn participant(&mut self, prefix: Prefix, data: ParticipantData, now: Instant) -> News {
         if let Some(known) = self.participants.get_mut(&prefix) {
             let moved = known.data.meta != data.meta;
             known.data = data;
             known.heard = now;
-            return moved;
+            if moved {
+                return News::New;
+            }
+            if known.tells_left == 0 || now < known.tell_again {
+                return News::Known;
+            }
+            known.tell_again = now + TELL_INTERVAL;
+            known.tells_left -= 1;
+            return News::Unaware;
         }
         if self.participants.len() == MAX_PARTICIPANTS {
-            return false;
+            return News::Known;
         }
         let participant = Participant {
             data,
             heard: now,
+            tell_again: now + TELL_INTERVAL,
+            tells_left: TELLS,
             subscriptions: Received::new(),
             readers: BTreeMap::new(),
         };
         self.participants.insert(prefix, participant);
-        true
+        News::New
     }
 
     /// A participant has gone, or was never there.
@@ -355,6 +384,8 @@ impl Discovery {
         last: u64,
     ) -> Option<(NumberSet, Place)> {
         let participant = self.participants.get_mut(&prefix)?;
+        // It tells us of its readers: it knows us.
+        participant.tells_left = 0;
         participant.subscriptions.skip_to(first);
         let missing = participant.subscriptions.missing(last);
         Some((missing, participant.data.meta))
@@ -465,9 +496,12 @@ mod tests {
             source: Ipv4Addr::LOCALHOST,
             lease: Duration::from_secs(seconds),
         };
-        assert!(discovery.participant([1; 12], data(10), start));
-        assert!(discovery.participant([2; 12], data(20), start));
-        assert!(!discovery.participant([2; 12], data(20), start + Duration::from_secs(5)));
+        let mut says_so =
+            |id, lease, after| discovery.participant([id; 12], data(lease), start + after);
+        assert_eq!(says_so(1, 10, Duration::ZERO), News::New);
+        assert_eq!(says_so(2, 20, Duration::ZERO), News::New);
+        assert_eq!(says_so(2, 20, Duration::from_millis(10)), News::Known);
+        assert_eq!(says_so(2, 20, Duration::from_secs(5)), News::Unaware);
         assert!(discovery.expire(start + Duration::from_secs(10)).is_empty());
         assert_eq!(discovery.expire(start + Duration::from_secs(11)), [[1; 12]]);
         assert!(discovery.expire(start + Duration::from_secs(25)).is_empty());

@@ -487,14 +487,61 @@ pub fn turn(deliveries: &mut Vec<Delivery>, transport: &Transport) -> Vec<(Deliv
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::environment::{DiscoveryRange, Environment};
+    use crate::rtps::writer::{Body, Sample};
     use std::net::{SocketAddr, UdpSocket};
 
-    #[test]
-    fn the_kernel_says_how_full_a_socket_is() {
+    fn socket() -> (UdpSocket, SocketAddrV4) {
         let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
         let Ok(SocketAddr::V4(address)) = socket.local_addr() else {
             panic!("an IPv4 address was asked for");
         };
+        (socket, address)
+    }
+
+    #[test]
+    fn the_pace_to_other_hosts_takes_no_patience() {
+        let environment = Environment {
+            domain: 212,
+            range: DiscoveryRange::Off,
+            static_peers: vec![],
+        };
+        let transport = Transport::new(Sockets::open(&environment).unwrap());
+        let (_socket, address) = socket();
+        let place = Place {
+            address,
+            near: false,
+        };
+        let bytes = 6_000_000;
+        let guid = Guid {
+            prefix: [1; 12],
+            entity: [0, 0, 1, 3],
+        };
+        let delivery = Delivery {
+            link: Arc::new(Link::new(place)),
+            writer: guid,
+            reader: None,
+            sample: Arc::new(Sample::new(1, Body::Same(vec![0; bytes]))),
+            names_hash: true,
+            only: None,
+            pulse: None,
+            progress: Progress::default(),
+        };
+        let start = Instant::now();
+        let mut deliveries = vec![delivery];
+        let mut ended = vec![];
+        while !deliveries.is_empty() {
+            ended.extend(turn(&mut deliveries, &transport));
+        }
+        assert!(matches!(ended[..], [(_, Step::Done)]));
+        let (pace, at_once) = FAR_PACE;
+        let least = Duration::from_secs_f64((bytes as f64 - at_once) / pace);
+        assert!(least > PATIENCE && start.elapsed() > least);
+    }
+
+    #[test]
+    fn the_kernel_says_how_full_a_socket_is() {
+        let (socket, address) = socket();
         let mut kernel = Kernel::open(address).expect("the kernel has udp_diag");
         let empty = kernel.ask(address).unwrap().unwrap();
         assert_eq!((empty.queued, empty.drops), (0, 0));

@@ -3,7 +3,7 @@
 //! One thread receives, and sends what is small; another repairs. Samples leave in the thread that
 //! writes them. The state is locked for moments only, and never while something is sent.
 
-use super::discovery::{Discovery, ParticipantData, Place, ReaderData};
+use super::discovery::{Discovery, News, ParticipantData, Place, ReaderData};
 use super::flow::{self, Delivery, Link, SocketMemory, Step, Transport, lock};
 use super::parameters::{self, ParameterList};
 use super::sockets::Sockets;
@@ -655,11 +655,15 @@ impl Shared {
     /// and that we have heard of no reader of its yet.
     fn meet(&self, state: &mut State, prefix: Prefix, data: ParticipantData, out: &mut Outbox) {
         let place = data.meta;
-        if !state.discovery.participant(prefix, data, Instant::now()) {
+        let news = state.discovery.participant(prefix, data, Instant::now());
+        if news == News::Known {
             return;
         }
         let announcement = self.announcement(&state.addresses);
         out.message(place.address, announcement);
+        if news == News::Unaware {
+            return;
+        }
         let nothing = wire::NumberSet::new(1);
         let acknack = self.acknack(state, prefix, &nothing);
         out.message(place.address, acknack);

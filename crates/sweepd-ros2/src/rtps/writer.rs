@@ -53,6 +53,15 @@ pub struct Sample {
 }
 
 impl Sample {
+    /// A sample that is written now.
+    pub fn new(number: u64, body: Body) -> Self {
+        Self {
+            number,
+            stamp: wire::now(),
+            body,
+        }
+    }
+
     /// Its bytes, in the form for such a reader.
     pub fn payload(&self, names_hash: bool) -> &[u8] {
         match &self.body {
@@ -316,11 +325,7 @@ impl Writer {
         if self.readers.is_empty() && !self.transient_local {
             return None;
         }
-        let sample = Arc::new(Sample {
-            number: self.complete + 1,
-            stamp: wire::now(),
-            body,
-        });
+        let sample = Arc::new(Sample::new(self.complete + 1, body));
         // Best-effort readers ask for nothing again.
         let reliable = self.readers.values().any(|reader| reader.reliable);
         let keep = reliable || self.transient_local;
