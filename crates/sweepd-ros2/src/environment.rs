@@ -9,7 +9,7 @@ const LAST_DOMAIN: u16 = 232;
 /// How far participants look for each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DiscoveryRange {
-    /// Nowhere: nobody is found, and nobody finds us.
+    /// Nowhere: it finds no one, and is not found.
     Off,
     /// On this host, and on the static peers.
     Localhost,

@@ -147,10 +147,7 @@ impl ReaderData {
     /// The reader that a participant has for our publications.
     pub fn of_publications(prefix: Prefix, place: Place) -> Self {
         Self {
-            guid: Guid {
-                prefix,
-                entity: wire::PUBLICATIONS_READER,
-            },
+            guid: Guid::new(prefix, wire::PUBLICATIONS_READER),
             topic: String::new(),
             type_name: String::new(),
             reliable: true,

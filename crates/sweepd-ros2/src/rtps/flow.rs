@@ -513,10 +513,7 @@ mod tests {
             near: false,
         };
         let bytes = 6_000_000;
-        let guid = Guid {
-            prefix: [1; 12],
-            entity: [0, 0, 1, 3],
-        };
+        let guid = Guid::new([1; 12], [0, 0, 1, 3]);
         let delivery = Delivery {
             link: Arc::new(Link::new(place)),
             writer: guid,

@@ -104,20 +104,14 @@ fn little_endian(payload: &[u8]) -> Option<bool> {
 /// are left out.
 pub fn read(payload: &[u8]) -> Option<impl Iterator<Item = (u16, Fields<'_>)>> {
     let little_endian = little_endian(payload)?;
-    let list = Fields {
-        bytes: payload,
-        little_endian,
-    };
+    let list = Fields::new(payload, little_endian);
     let mut at = 4;
     Some(std::iter::from_fn(move || {
         let parameter = list.u16(at)? & !MUST_UNDERSTAND;
         let length = usize::from(list.u16(at + 2)?);
         let bytes = payload.get(at + 4..at + 4 + length)?;
         at += 4 + length;
-        let value = Fields {
-            bytes,
-            little_endian,
-        };
+        let value = Fields::new(bytes, little_endian);
         (parameter != SENTINEL).then_some((parameter, value))
     }))
 }

@@ -6,7 +6,7 @@
 use super::discovery::{Discovery, News, ParticipantData, Place, ReaderData};
 use super::flow::{self, Delivery, Link, SocketMemory, Step, Transport, lock};
 use super::parameters::{self, ParameterList};
-use super::sockets::Sockets;
+use super::sockets::{self, Sockets};
 use super::sys;
 use super::wire::{self, EntityId, Guid, Message, Prefix, Route, Submessage};
 use super::writer::{Body, Counters, Match, Offer, Outbox, ReaderCount, Writer};
@@ -26,14 +26,13 @@ use std::time::{Duration, Instant};
 const LEASE_SECONDS: u32 = 20;
 
 /// How often we say that we are there: soon and often at first, so that others find us at once.
-const FIRST_ANNOUNCEMENTS: Duration = Duration::from_millis(250);
-const ANNOUNCEMENTS: Duration = Duration::from_secs(3);
+const ANNOUNCEMENTS: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(3)];
 const AT_FIRST: Duration = Duration::from_secs(3);
 
 /// Longest wait for a datagram: heartbeats are due within.
 const TICK: Duration = Duration::from_millis(50);
 
-/// Datagrams that are taken before other work.
+/// Datagrams that are taken of one socket before other work.
 const BATCH: usize = 64;
 
 /// Repairs that wait or are on their way. Readers ask again for those that find no room.
@@ -293,10 +292,7 @@ impl Shared {
     fn open(environment: &Environment, name: &str, enclave: &str) -> io::Result<Self> {
         let prefix = random_prefix()?;
         let transport = Transport::new(Sockets::open(environment)?);
-        let publications = Guid {
-            prefix,
-            entity: wire::PUBLICATIONS_WRITER,
-        };
+        let publications = Guid::new(prefix, wire::PUBLICATIONS_WRITER);
         let publications = (None, Writer::new(publications, true, usize::MAX));
         let state = State {
             discovery: Discovery::default(),
@@ -318,10 +314,7 @@ impl Shared {
     }
 
     fn guid(&self, entity: EntityId) -> Guid {
-        Guid {
-            prefix: self.prefix,
-            entity,
-        }
+        Guid::new(self.prefix, entity)
     }
 
     /// Writes to those that want to know of our writers.
@@ -397,23 +390,21 @@ impl Shared {
             let now = Instant::now();
             if now >= next_announcement {
                 self.announce();
-                next_announcement = now
-                    + if now.duration_since(start) < AT_FIRST {
-                        FIRST_ANNOUNCEMENTS
-                    } else {
-                        ANNOUNCEMENTS
-                    };
+                let at_first = now.duration_since(start) < AT_FIRST;
+                next_announcement = now + ANNOUNCEMENTS[usize::from(!at_first)];
             }
             if now >= next_tick {
                 self.send(self.tick(now), to_repair);
                 next_tick = now + TICK;
             }
             self.transport.sockets.wait(TICK);
-            for _ in 0..BATCH {
-                let Some((datagram, source)) = self.transport.sockets.receive(&mut buffer) else {
-                    break;
-                };
-                self.send(self.receive(datagram, source), to_repair);
+            for inbox in self.transport.sockets.inboxes() {
+                for _ in 0..BATCH {
+                    let Some((datagram, source)) = sockets::receive(inbox, &mut buffer) else {
+                        break;
+                    };
+                    self.send(self.receive(datagram, source), to_repair);
+                }
             }
         }
     }
@@ -612,10 +603,7 @@ impl Shared {
                 writer,
                 missing,
             } => {
-                let from = Guid {
-                    prefix,
-                    entity: reader,
-                };
+                let from = Guid::new(prefix, reader);
                 if let Some((_, writer)) = state.writers.get_mut(&writer) {
                     writer.acknack(from, &missing, now, out);
                 }
@@ -626,10 +614,7 @@ impl Shared {
                 number,
                 missing,
             } => {
-                let from = Guid {
-                    prefix,
-                    entity: reader,
-                };
+                let from = Guid::new(prefix, reader);
                 if let Some((_, writer)) = state.writers.get_mut(&writer) {
                     writer.nack_fragment(from, number, missing, now, out);
                 }

@@ -169,13 +169,16 @@ impl Sockets {
         sys::wait([self.unicast.as_fd(), self.multicast.as_fd()], longest);
     }
 
-    /// A datagram that is there, and the address that it comes from.
-    pub fn receive<'a>(&self, buffer: &'a mut [u8]) -> Option<(&'a [u8], Ipv4Addr)> {
-        for socket in [&self.unicast, &self.multicast] {
-            if let Ok((bytes, SocketAddr::V4(source))) = socket.recv_from(buffer) {
-                return Some((&buffer[..bytes], *source.ip()));
-            }
-        }
-        None
+    /// Where datagrams come in.
+    pub fn inboxes(&self) -> [&UdpSocket; 2] {
+        [&self.unicast, &self.multicast]
+    }
+}
+
+/// A datagram that is there, and the address that it comes from.
+pub fn receive<'a>(inbox: &UdpSocket, buffer: &'a mut [u8]) -> Option<(&'a [u8], Ipv4Addr)> {
+    match inbox.recv_from(buffer) {
+        Ok((bytes, SocketAddr::V4(source))) => Some((&buffer[..bytes], *source.ip())),
+        _ => None,
     }
 }

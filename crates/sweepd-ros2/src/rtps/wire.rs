@@ -51,6 +51,11 @@ pub struct Guid {
 }
 
 impl Guid {
+    /// That entity of that participant.
+    pub fn new(prefix: Prefix, entity: EntityId) -> Self {
+        Self { prefix, entity }
+    }
+
     /// The 16 bytes of it.
     pub fn bytes(self) -> [u8; 16] {
         let mut bytes = [0; 16];
@@ -61,10 +66,8 @@ impl Guid {
 
     /// The entity of these bytes, where they are 16 or more.
     pub fn read(bytes: &[u8]) -> Option<Self> {
-        Some(Self {
-            prefix: bytes.get(..12)?.try_into().ok()?,
-            entity: bytes.get(12..16)?.try_into().ok()?,
-        })
+        let prefix = bytes.get(..12)?.try_into().ok()?;
+        Some(Self::new(prefix, bytes.get(12..16)?.try_into().ok()?))
     }
 }
 
@@ -160,6 +163,14 @@ pub struct Fields<'a> {
 }
 
 impl<'a> Fields<'a> {
+    /// Numbers in these bytes, in that order.
+    pub fn new(bytes: &'a [u8], little_endian: bool) -> Self {
+        Self {
+            bytes,
+            little_endian,
+        }
+    }
+
     /// Four bytes as they are.
     pub fn array(self, at: usize) -> Option<[u8; 4]> {
         self.bytes.get(at..at.checked_add(4)?)?.try_into().ok()
@@ -442,10 +453,7 @@ impl<'a> Iterator for Submessages<'a> {
     fn next(&mut self) -> Option<Submessage<'a>> {
         while let [kind, flags, _, _, ..] = *self.rest {
             let little_endian = flags & LITTLE_ENDIAN != 0;
-            let header = Fields {
-                bytes: self.rest,
-                little_endian,
-            };
+            let header = Fields::new(self.rest, little_endian);
             let length = usize::from(header.u16(2)?);
             // Zero says: to the end of the datagram. Padding and a time that is none may be empty.
             let to_the_end = length == 0 && !matches!(kind, 0x01 | INFO_TIMESTAMP);
@@ -460,10 +468,7 @@ impl<'a> Iterator for Submessages<'a> {
                 let prefix = body.get(..12)?;
                 self.for_us = prefix == self.own || prefix == [0; 12];
             } else if self.for_us {
-                let fields = Fields {
-                    bytes: body,
-                    little_endian,
-                };
+                let fields = Fields::new(body, little_endian);
                 if let Some(submessage) = read_submessage(kind, flags, fields) {
                     return Some(submessage);
                 }
@@ -631,10 +636,7 @@ mod tests {
         );
 
         let mut end = Message::new(OURS);
-        let key = Guid {
-            prefix: OURS,
-            entity: WRITER,
-        };
+        let key = Guid::new(OURS, WRITER);
         end.disposal(route(), key, 0);
         behind_header(
             &end,

@@ -212,7 +212,7 @@ pub struct Writer {
     transient_local: bool,
     depth: usize,
     history: VecDeque<Arc<Sample>>,
-    /// Number of the newest sample that is sent, or was not sent because nobody reads it.
+    /// Number of the newest sample that is sent, or was not sent for want of readers.
     complete: u64,
     readers: BTreeMap<Guid, Reader>,
     heartbeats: Arc<AtomicU32>,
@@ -319,7 +319,7 @@ impl Writer {
         self.spare.pop().unwrap_or_default()
     }
 
-    /// Gives a sample its number, and says to whom it goes. None where nobody gets it, now or
+    /// Gives a sample its number, and says to whom it goes. None where no reader gets it, now or
     /// later. The turn must be held until [`Writer::finish`].
     pub fn begin(&mut self, body: Body) -> Option<Vec<Delivery>> {
         if self.readers.is_empty() && !self.transient_local {
@@ -384,7 +384,7 @@ impl Writer {
         }
     }
 
-    /// Keeps the buffer of a sample that nobody needs any more.
+    /// Keeps the buffer of a sample that is no longer needed.
     fn recycle(&mut self, sample: Arc<Sample>) {
         if let Ok(sample) = Arc::try_unwrap(sample)
             && let Body::Same(mut buffer) = sample.body

@@ -47,10 +47,7 @@ fn participant_data(prefix: Prefix) -> Message {
 /// "I have a reader."
 fn reader_data(prefix: Prefix, number: u64, reader: u16) -> Message {
     let [high, low] = reader.to_be_bytes();
-    let guid = Guid {
-        prefix,
-        entity: [0, high, low, 4],
-    };
+    let guid = Guid::new(prefix, [0, high, low, 4]);
     let mut list = ParameterList::new();
     list.put(parameters::ENDPOINT_GUID, &guid.bytes());
     list.string(parameters::TOPIC_NAME, TOPIC);
@@ -112,10 +109,7 @@ fn sensible(writer: Guid) -> Vec<Vec<u8>> {
         0, 0, 0, 0, 5, 0, 0, 0, 1, 0, 0, 0, 3, 0, 0, 0, 0, 0, 0, 0xa0, 1, 0, 0, 0,
     ]);
     let mut ended = Message::new(prefix);
-    let key = Guid {
-        prefix,
-        entity: reader,
-    };
+    let key = Guid::new(prefix, reader);
     let route = Route {
         reader: wire::ANY_READER,
         writer: wire::SUBSCRIPTIONS_WRITER,
