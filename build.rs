@@ -7,6 +7,9 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+/// Interpreters with what peers of ROS 2 need.
+const ROS: [&str; 3] = ["SWEEPD_JAZZY", "SWEEPD_KILTED", "SWEEPD_ROS_PYTHON"];
+
 fn main() {
     let (version, is_release) = (env("CARGO_PKG_VERSION"), env("PROFILE") == "release");
     println!("cargo:rerun-if-changed=build.rs");
@@ -36,8 +39,15 @@ fn tell_what_is_missing() {
         ("compilers", has("cc") && has("c++") && has("cmake")),
         ("strace", has("strace")),
         ("systemd", has("systemd-analyze")),
+        (
+            "ros",
+            ROS.iter().all(|name| std::env::var_os(name).is_some()) && has_fastdds(),
+        ),
     ];
-    for variable in ["SWEEPD_DATA", "SWEEPD_PYTHON", "SWEEPD_ROS_PYTHON", "CI"] {
+    for variable in ROS
+        .into_iter()
+        .chain(["SWEEPD_DATA", "SWEEPD_PYTHON", "CI"])
+    {
         println!("cargo:rerun-if-env-changed={variable}");
     }
     let is_ci = env("CI") == "true";
@@ -47,6 +57,11 @@ fn tell_what_is_missing() {
             println!("cargo:rustc-cfg=without_{name}");
         }
     }
+}
+
+/// Whether Debian's Fast DDS can be compiled against.
+fn has_fastdds() -> bool {
+    has("c++") && Path::new("/usr/include/fastdds").is_dir()
 }
 
 /// Whether a program is on the path.

@@ -97,12 +97,26 @@ impl Diagnostics {
         add("dropped datagrams", tally.dropped_datagrams.to_string());
         add("missing columns", tally.missing_columns.to_string());
         for (topic, publisher) in Topic::ALL.into_iter().zip(&bridge.publishers) {
-            let name = topic.name();
-            add(&format!("{name} readers"), publisher.readers().to_string());
+            let (name, computed) = (topic.name(), bridge.seen.computed(topic));
+            let subscribers = publisher.statistics().subscribers;
+            let lost: u64 = subscribers.iter().map(|one| one.lost_messages).sum();
             add(
-                &format!("{name} computed"),
-                bridge.seen.computed(topic).to_string(),
+                &format!("{name} subscribers"),
+                subscribers.len().to_string(),
             );
+            add(&format!("{name} computed"), computed.to_string());
+            add(&format!("{name} lost"), lost.to_string());
+            for one in subscribers.iter().filter(|one| one.lost_messages > 0) {
+                let dropped = match one.dropped_datagrams {
+                    Some(dropped) => format!(", its socket dropped {dropped} datagrams"),
+                    None => String::new(),
+                };
+                let key = format!("{name} to {}", one.address);
+                add(
+                    &key,
+                    format!("{} messages lost{dropped}", one.lost_messages),
+                );
+            }
         }
         for key in ["state", "gps", "temperature_c", "consumers"] {
             match said.map(|said| &said[key]) {

@@ -13,6 +13,7 @@ pub use daemon::Daemon;
 pub use domain::TempDomain;
 pub use port::ReservedPort;
 pub use process::{PATIENCE, Process};
+pub use rustix::process::Signal;
 
 /// A failure, as a sentence for the person who runs the tests.
 #[derive(Clone, PartialEq, Eq, thiserror::Error)]

@@ -1,0 +1,157 @@
+//! A peer: a program that tells on its standard output what it hears.
+
+use std::ffi::{OsStr, OsString};
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::OnceLock;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+use sweepd_lab::testkit::{PATIENCE, Process};
+
+use super::world::on_domain;
+
+/// No multicast, loopback alone.
+const CYCLONE: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface address='127.0.0.1'/></Interfaces>\
+<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>\
+<MaxAutoParticipantIndex>32</MaxAutoParticipantIndex><Peers><Peer address='127.0.0.1'/></Peers></Discovery>\
+</Domain></CycloneDDS>";
+
+/// A program that tells what it hears. It is killed when it is dropped.
+pub struct Peer {
+    pub process: Process,
+    said: Receiver<Said>,
+}
+
+/// A line that a peer said, and the bytes behind it.
+pub struct Said {
+    pub line: Value,
+    pub data: Vec<u8>,
+}
+
+impl Peer {
+    /// rclpy of the distribution whose interpreter a variable names.
+    pub fn ros(variable: &str, dds_domain: u32, wanted: &Value) -> Self {
+        let mut command = Command::new(interpreter(variable));
+        command.arg(script("ros_peer.py")).arg(wanted.to_string());
+        if variable != "SWEEPD_JAZZY" {
+            // Two versions of Fast DDS break each other's files in shared memory.
+            command.env("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4");
+        }
+        Self::start(command, dds_domain)
+    }
+
+    /// Cyclone DDS.
+    pub fn cyclone(dds_domain: u32, mut wanted: Value) -> Self {
+        wanted["domain"] = dds_domain.into();
+        let mut command = Command::new(interpreter("SWEEPD_ROS_PYTHON"));
+        command
+            .arg(script("dds_peer.py"))
+            .arg(wanted.to_string())
+            .env("CYCLONEDDS_URI", CYCLONE);
+        Self::start(command, dds_domain)
+    }
+
+    /// Debian's Fast DDS.
+    pub fn fastdds(dds_domain: u32, topics: &[&str]) -> Self {
+        let mut command = Command::new(fastdds_reader());
+        command.arg(dds_domain.to_string()).args(topics);
+        Self::start(command, dds_domain)
+    }
+
+    fn start(mut command: Command, dds_domain: u32) -> Self {
+        on_domain(&mut command, dds_domain);
+        let mut process = Process::start(command.stdout(Stdio::piped())).unwrap();
+        let stdout = process.child.stdout.take().unwrap();
+        let (sender, said) = channel();
+        thread::spawn(move || {
+            let mut stdout = BufReader::with_capacity(1 << 20, stdout);
+            let mut line = String::new();
+            while stdout.read_line(&mut line).is_ok_and(|bytes| bytes > 0) {
+                let value: Value = serde_json::from_str(&line).expect("a peer speaks JSON");
+                let bytes = value["bytes"].as_u64().unwrap_or(0);
+                let mut data = vec![0; bytes as usize];
+                if stdout.read_exact(&mut data).is_err()
+                    || sender.send(Said { line: value, data }).is_err()
+                {
+                    return;
+                }
+                line.clear();
+            }
+        });
+        Self { process, said }
+    }
+
+    /// Waits until it listens.
+    pub fn ready(self) -> Self {
+        let mut peer = self;
+        peer.wait_for("it is ready", |said| said.line["ready"] == true);
+        peer
+    }
+
+    /// What it says next, if it says something within a time.
+    pub fn next(&mut self, within: Duration) -> Option<Said> {
+        match self.said.recv_timeout(within) {
+            Ok(said) => Some(said),
+            Err(RecvTimeoutError::Timeout) => None,
+            Err(RecvTimeoutError::Disconnected) => {
+                panic!("{}", self.process.failure("a peer ended".to_owned()))
+            }
+        }
+    }
+
+    /// What it says first that `is_it`; what it says before is lost.
+    pub fn wait_for(&mut self, what: &str, is_it: impl Fn(&Said) -> bool) -> Said {
+        let begun = Instant::now();
+        while begun.elapsed() < PATIENCE {
+            if let Some(said) = self.next(Duration::from_millis(100))
+                && is_it(&said)
+            {
+                return said;
+            }
+        }
+        panic!(
+            "{}",
+            self.process
+                .failure(format!("{PATIENCE:?} passed before {what}"))
+        );
+    }
+
+    /// Forgets what it has said so far.
+    pub fn forget(&mut self) {
+        self.said.try_iter().for_each(drop);
+    }
+}
+
+/// The Python interpreter that a variable names.
+fn interpreter(variable: &str) -> OsString {
+    std::env::var_os(variable)
+        .unwrap_or_else(|| panic!("{variable} names no interpreter: .ci/run makes one"))
+}
+
+fn script(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/ros2")
+        .join(name)
+}
+
+/// The reader for Debian's Fast DDS, compiled once.
+pub fn fastdds_reader() -> &'static OsStr {
+    static READER: OnceLock<PathBuf> = OnceLock::new();
+    let reader = READER.get_or_init(|| {
+        let program = Path::new(env!("CARGO_TARGET_TMPDIR")).join("fastdds_reader");
+        let compiled = Command::new("c++")
+            .args(["-std=c++17", "-O1"])
+            .arg(script("fastdds_reader.cpp"))
+            .arg("-o")
+            .arg(&program)
+            .args(["-lfastrtps", "-lfastcdr"])
+            .status();
+        assert!(compiled.unwrap().success(), "needs libfastrtps-dev");
+        program
+    });
+    reader.as_os_str()
+}
