@@ -36,23 +36,26 @@ fn tool(name: &str) -> Command {
     command
 }
 
-/// The unit with these lines more, its program being the one that was built: the other is not
-/// installed here.
-fn unit(folder: &TempDir, more: &str) -> PathBuf {
-    let (installed, built) = (
-        "ExecStart=/usr/bin/sweepd ",
-        format!("ExecStart={} ", env!("CARGO_BIN_EXE_sweepd")),
-    );
-    let unit = text("sweepd.service");
-    assert_eq!(unit.matches(installed).count(), 1);
-    let path = folder.path().join("sweepd.service");
-    std::fs::write(
-        &path,
-        unit.replace(installed, &built)
-            .replace("[Install]", &format!("{more}\n[Install]")),
-    )
-    .unwrap();
-    path
+/// The units, and the programs that they run.
+const UNITS: [(&str, &str); 2] = [
+    ("sweepd.service", "sweepd"),
+    ("sweepd-ros2.service", "sweepd-ros2"),
+];
+
+/// A unit with these lines more, its program being the one that was built: the other is not
+/// installed here. Beside it are the units that it names.
+fn unit(folder: &TempDir, name: &str, more: &str) -> PathBuf {
+    for (file, program) in UNITS {
+        let built = Path::new(env!("CARGO_BIN_EXE_sweepd")).with_file_name(program);
+        let installed = format!("ExecStart=/usr/bin/{program} ");
+        let text = text(file);
+        assert_eq!(text.matches(&installed).count(), 1);
+        let text = text.replace(&installed, &format!("ExecStart={} ", built.display()));
+        let more = if file == name { more } else { "" };
+        let text = text.replace("[Install]", &format!("{more}\n[Install]"));
+        std::fs::write(folder.path().join(file), text).unwrap();
+    }
+    folder.path().join(name)
 }
 
 /// All that the program says; its exit status is 0 even when it ignores a line.
@@ -67,50 +70,53 @@ fn said(command: &mut Command, arguments: &[&OsStr]) -> (bool, String) {
 #[cfg_attr(without_systemd, ignore = "no systemd")]
 fn the_unit_is_taken_without_a_word() {
     let folder = tempfile::tempdir().unwrap();
-    let verify = |more: &str| {
-        let path = unit(&folder, more);
-        said(
-            &mut tool("systemd-analyze"),
-            &["verify".as_ref(), "--man=no".as_ref(), path.as_os_str()],
-        )
-    };
-    let found = verify("");
-    assert_eq!(found, (true, String::new()));
-    // Notice of what is wrong is given: else the silence would mean nothing.
-    let (_, complaint) = verify("Nonsense=yes");
-    assert!(complaint.contains("Nonsense"), "{complaint:?}");
+    for (name, _) in UNITS {
+        let verify = |more: &str| {
+            let path = unit(&folder, name, more);
+            said(
+                &mut tool("systemd-analyze"),
+                &["verify".as_ref(), "--man=no".as_ref(), path.as_os_str()],
+            )
+        };
+        let found = verify("");
+        assert_eq!(found, (true, String::new()), "{name}");
+        // Notice of what is wrong is given: else the silence would mean nothing.
+        let (_, complaint) = verify("Nonsense=yes");
+        assert!(complaint.contains("Nonsense"), "{name}: {complaint:?}");
+    }
 }
 
 #[test]
 #[cfg_attr(without_systemd, ignore = "no systemd")]
 fn the_unit_exposes_no_more_than_it_must() {
-    let mut analyze = tool("systemd-analyze");
     let folder = tempfile::tempdir().unwrap();
-    let path = unit(&folder, "");
-    let (_, table) = said(
-        &mut analyze,
-        &[
-            "security".as_ref(),
-            "--offline=true".as_ref(),
-            path.as_os_str(),
-        ],
-    );
-    let overall = table
-        .lines()
-        .find(|line| line.contains("Overall exposure level"))
-        .expect(&table);
-    let exposure = overall
-        .split_whitespace()
-        .find_map(|word| word.parse::<f64>().ok())
-        .expect(overall);
-    assert!(exposure <= EXPOSURE, "{table}");
+    for (name, _) in UNITS {
+        let path = unit(&folder, name, "");
+        let (_, table) = said(
+            &mut tool("systemd-analyze"),
+            &[
+                "security".as_ref(),
+                "--offline=true".as_ref(),
+                path.as_os_str(),
+            ],
+        );
+        let overall = table
+            .lines()
+            .find(|line| line.contains("Overall exposure level"))
+            .expect(&table);
+        let exposure = overall
+            .split_whitespace()
+            .find_map(|word| word.parse::<f64>().ok())
+            .expect(overall);
+        assert!(exposure <= EXPOSURE, "{name}: {table}");
+    }
 }
 
 /// What iceoryx2.md found to fail silently, and what the daemon says and needs.
 #[test]
 fn the_unit_leaves_shared_memory_alone() {
-    let unit = text("sweepd.service");
-    let has = |line: &str| unit.lines().any(|own| own == line);
+    let daemon = text("sweepd.service");
+    let bridge = text("sweepd-ros2.service");
     for line in [
         "Type=notify",
         "NotifyAccess=main",
@@ -122,20 +128,29 @@ fn the_unit_leaves_shared_memory_alone() {
         "ExecReload=kill -HUP $MAINPID",
         "RestartPreventExitStatus=78",
     ] {
-        assert!(has(line), "{line}");
+        assert!(daemon.lines().any(|own| own == line), "{line}");
+    }
+    for line in [
+        "Wants=sweepd.service",
+        "User=sweepd",
+        "RemoveIPC=no",
+        "PrivateTmp=no",
+        "ReadWritePaths=-/run/sweepd",
+        "RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6 AF_NETLINK",
+        "RestartPreventExitStatus=78",
+    ] {
+        assert!(bridge.lines().any(|own| own == line), "{line}");
     }
     for setting in [
         "DynamicUser=yes",
         "PrivateIPC=yes",
         "PrivateUsers=yes",
-        "RestrictRealtime=yes",
         "TemporaryFileSystem=",
     ] {
-        assert!(
-            !unit.lines().any(|line| line.starts_with(setting)),
-            "{setting}"
-        );
+        let mut lines = daemon.lines().chain(bridge.lines());
+        assert!(!lines.any(|line| line.starts_with(setting)), "{setting}");
     }
+    assert!(!daemon.contains("RestrictRealtime=yes"));
 }
 
 #[test]

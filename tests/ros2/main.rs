@@ -12,6 +12,7 @@ mod common;
 mod crowd;
 mod events;
 mod expected;
+mod measure;
 mod peer;
 mod world;
 

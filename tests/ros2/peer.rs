@@ -127,12 +127,12 @@ impl Peer {
 }
 
 /// The Python interpreter that a variable names.
-fn interpreter(variable: &str) -> OsString {
+pub fn interpreter(variable: &str) -> OsString {
     std::env::var_os(variable)
         .unwrap_or_else(|| panic!("{variable} names no interpreter: .ci/run makes one"))
 }
 
-fn script(name: &str) -> PathBuf {
+pub fn script(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("tests/ros2")
         .join(name)

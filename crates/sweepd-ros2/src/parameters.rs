@@ -182,9 +182,14 @@ impl Parameters {
     }
 
     fn take_section(&mut self, section: &Spanned<Tree>, file: &str) -> Result<(), ParameterError> {
-        let Tree::Map(pairs) = &section.value else {
-            let what = "expected parameters, `name: value`".to_owned();
-            return Err(at(file, section.referenced, what));
+        let pairs = match &section.value {
+            Tree::Map(pairs) => &pairs[..],
+            // All of it is comments.
+            Tree::Scalar(text) if text.is_empty() => &[],
+            _ => {
+                let what = "expected parameters, `name: value`".to_owned();
+                return Err(at(file, section.referenced, what));
+            }
         };
         for (key, value) in pairs {
             self.take(&key.value, value)
@@ -485,6 +490,32 @@ mod tests {
             layout: Layout::Fields(Fields::ALL),
         };
         assert_eq!(parameters.of("roof"), expected);
+    }
+
+    #[test]
+    fn the_example_has_the_defaults_and_every_name() {
+        let example = include_str!("../../../systemd/ros2.yaml");
+        assert_eq!(parse(example).unwrap(), Parameters::default());
+        for name in OF_NODE.iter().chain(&OF_SENSOR) {
+            assert!(
+                example.contains(&format!(" {name}: ")) || example.contains(&format!("#{name}: "))
+            );
+        }
+        // Prose has one space behind its #.
+        let is_prose = |line: &&str| {
+            let prose = line.trim_start().strip_prefix("# ");
+            prose.is_some_and(|prose| !prose.starts_with(' '))
+        };
+        let lines = example.lines().filter(|line| !is_prose(line));
+        let lines: Vec<String> = lines.map(|line| line.replacen('#', "", 1)).collect();
+        let parameters = parse(&lines.join("\n")).unwrap();
+        assert_eq!(parameters.of("roof"), Parameters::default().of("roof"));
+        assert_eq!(parameters.sensors, ["roof"]);
+        let expected = Parameters::default();
+        assert_eq!(
+            (parameters.health, parameters.base_frame),
+            (expected.health, expected.base_frame)
+        );
     }
 
     #[test]

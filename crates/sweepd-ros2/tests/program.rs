@@ -8,6 +8,7 @@ fn program(dds_domain: &str, words: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_sweepd-ros2"));
     command
         .args(words)
+        .env_remove("COLUMNS")
         .env_remove("ROS_LOCALHOST_ONLY")
         .env_remove("ROS_STATIC_PEERS")
         .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -110,4 +111,16 @@ fn it_waits_for_a_daemon_and_ends_when_told() {
             said(&output)
         );
     }
+}
+
+#[test]
+fn the_page_has_what_help_says() {
+    let output = program("140", &["--help"]).output().unwrap();
+    let help = String::from_utf8(output.stdout).unwrap();
+    let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/ros2.md"));
+    let lines: Vec<&str> = help.trim_end().lines().map(str::trim_end).collect();
+    assert!(
+        page.unwrap().contains(&lines.join("\n")),
+        "docs/ros2.md has another help:\n{help}"
+    );
 }
