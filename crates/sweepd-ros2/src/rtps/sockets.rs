@@ -58,7 +58,9 @@ impl Sockets {
     /// # Errors
     /// What the system says.
     pub fn open(environment: &Environment) -> io::Result<Self> {
-        let base_port = 7400 + 250 * environment.domain;
+        let base_port = environment.domain.checked_mul(250);
+        let base_port = base_port.and_then(|offset| offset.checked_add(7400));
+        let base_port = base_port.ok_or(io::ErrorKind::InvalidInput)?;
         let unicast = (0..PARTICIPANTS)
             .filter_map(|index| base_port.checked_add(10 + 2 * index))
             .find_map(|port| open(port, false).ok().map(|socket| (socket, port)));
