@@ -24,7 +24,7 @@ use thiserror::Error;
 
 use crate::cdr::Writer;
 use crate::image::column_of;
-use crate::rays::{Ray, Shot};
+use crate::rays::{Shot, Shots};
 use crate::stamp::{MessageHeader, Stamp};
 
 /// Which cloud is made of a sweep.
@@ -258,7 +258,7 @@ impl Cloud {
             cloud: self,
             step,
             sweep,
-            rays: Ray::of(sweep),
+            shots: Shots::of(sweep),
             stamp_after_first_ns: stamp_ns.saturating_sub(sweep.header.time_ns),
         };
         // A point is written as if it were of the largest layout; the next one is written over its
@@ -291,7 +291,7 @@ struct PointWriter<'a> {
     cloud: &'a Cloud,
     step: usize,
     sweep: &'a SweepRef<'a>,
-    rays: Vec<Ray>,
+    shots: Shots<'a>,
     stamp_after_first_ns: i64,
 }
 
@@ -321,14 +321,14 @@ impl PointWriter<'_> {
     fn list(&self, items: &mut [u8]) -> usize {
         let mut at = 0;
         for column in 0..self.sweep.columns.len() {
-            for (row, ray) in self.rays.iter().enumerate() {
-                let both = self.returns(column * self.rays.len() + row);
+            for row in 0..self.sweep.rows() {
+                let both = self.returns(column * self.sweep.rows() + row);
                 let [first, second] =
                     both.map(|stored| stored.filter(|stored| self.cloud.points.has(stored.label)));
                 if first.is_none() && second.is_none() {
                     continue;
                 }
-                let shot = ray.shot(self.sweep.firing(row, column));
+                let shot = self.shots.of_pixel(row, column);
                 if let Some(first) = first {
                     self.point(&shot, first, both[1], point_at(items, at));
                     at += self.step;
@@ -345,14 +345,14 @@ impl PointWriter<'_> {
     /// Writes the image.
     fn image(&self, items: &mut [u8]) {
         let columns = self.sweep.columns.len();
-        for (row, ray) in self.rays.iter().enumerate() {
+        for row in 0..self.sweep.rows() {
             for left in 0..columns {
                 let column = column_of(self.sweep, left);
-                let [first, second] = self.returns(column * self.rays.len() + row);
+                let [first, second] = self.returns(column * self.sweep.rows() + row);
                 let place = point_at(items, (row * columns + left) * self.step);
                 match first.filter(|first| self.cloud.points.has(first.label)) {
                     Some(first) => {
-                        let shot = ray.shot(self.sweep.firing(row, column));
+                        let shot = self.shots.of_pixel(row, column);
                         self.point(&shot, first, second, place);
                     }
                     None => {

@@ -20,6 +20,7 @@ pub mod graph;
 pub mod image;
 pub mod markers;
 pub mod message_type;
+pub mod names;
 pub mod palette;
 mod rays;
 pub mod stamp;

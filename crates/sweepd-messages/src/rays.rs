@@ -3,18 +3,28 @@
 
 use std::f64::consts::TAU;
 
+use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::corrected::Corrected;
-use sweepd_core::sweep::{Column, SweepRef};
 
-/// A beam of a sweep.
-pub struct Ray {
+/// The shots of a sweep.
+pub struct Shots<'a> {
+    sweep: &'a SweepRef<'a>,
+    /// By row.
+    rays: Vec<Ray>,
+    /// Sine and cosine of the azimuth of each firing.
+    firings: Vec<[f64; 2]>,
+}
+
+/// A beam.
+struct Ray {
     corrected: Corrected,
     rotation_rad: f64,
+    /// Sine and cosine of the rotation.
+    rotation: [f64; 2],
     elevation_rad: f64,
     sideways_m: f64,
     up_m: f64,
     time_offset_ns: u32,
-    /// Its number from the lowest beam up.
     ring: u16,
 }
 
@@ -28,39 +38,74 @@ pub struct Shot<'a> {
     pub time_ns: i64,
 }
 
-impl Ray {
-    /// The beams of a sweep, by row.
-    pub fn of(sweep: &SweepRef<'_>) -> Vec<Self> {
+impl<'a> Shots<'a> {
+    /// Those of a sweep.
+    pub fn of(sweep: &'a SweepRef<'a>) -> Self {
         let rings = (0..sweep.rows()).rev();
-        let beams = sweep.beams.iter().zip(rings);
-        beams
-            .map(|(beam, ring)| Self {
-                corrected: Corrected::new(beam),
-                rotation_rad: beam.rotation_rad.into(),
-                elevation_rad: beam.elevation_rad.into(),
-                sideways_m: beam.horizontal_offset_m.into(),
-                up_m: beam.vertical_offset_m.into(),
-                time_offset_ns: beam.time_offset_ns,
-                ring: ring as u16,
-            })
-            .collect()
-    }
-
-    /// Its shot of a firing.
-    #[inline]
-    pub fn shot(&self, firing: &Column) -> Shot<'_> {
-        let turned_rad =
-            f64::from(firing.azimuth_rate_rad_s) * f64::from(self.time_offset_ns) * 1e-9;
-        let azimuth_rad = f64::from(firing.azimuth_rad) + turned_rad - self.rotation_rad;
-        let (sin_azimuth, cos_azimuth) = azimuth_rad.sin_cos();
-        Shot {
-            ray: self,
-            azimuth_rad,
-            sin_azimuth,
-            cos_azimuth,
-            time_ns: i64::from(firing.time_ns) + i64::from(self.time_offset_ns),
+        let rays = sweep.beams.iter().zip(rings).map(|(beam, ring)| Ray {
+            corrected: Corrected::new(beam),
+            rotation_rad: beam.rotation_rad.into(),
+            rotation: f64::from(beam.rotation_rad).sin_cos().into(),
+            elevation_rad: beam.elevation_rad.into(),
+            sideways_m: beam.horizontal_offset_m.into(),
+            up_m: beam.vertical_offset_m.into(),
+            time_offset_ns: beam.time_offset_ns,
+            ring: ring as u16,
+        });
+        let azimuths = sweep
+            .columns
+            .iter()
+            .map(|firing| f64::from(firing.azimuth_rad));
+        Self {
+            sweep,
+            rays: rays.collect(),
+            firings: azimuths
+                .map(|azimuth_rad| azimuth_rad.sin_cos().into())
+                .collect(),
         }
     }
+
+    /// The shot of a pixel.
+    #[inline]
+    pub fn of_pixel(&self, row: usize, column: usize) -> Shot<'_> {
+        let ray = &self.rays[row];
+        let column = self.sweep.fired_in(row, column);
+        let firing = &self.sweep.columns[column];
+        let turned_rad =
+            f64::from(firing.azimuth_rate_rad_s) * f64::from(ray.time_offset_ns) * 1e-9;
+        let back = [-ray.rotation[0], ray.rotation[1]];
+        let [sin_azimuth, cos_azimuth] = sum(sum(self.firings[column], sin_cos(turned_rad)), back);
+        Shot {
+            ray,
+            azimuth_rad: f64::from(firing.azimuth_rad) + turned_rad - ray.rotation_rad,
+            sin_azimuth,
+            cos_azimuth,
+            time_ns: i64::from(firing.time_ns) + i64::from(ray.time_offset_ns),
+        }
+    }
+}
+
+/// Sine and cosine of the sum of two angles, from those of each.
+#[inline]
+fn sum([sin, cos]: [f64; 2], [other_sin, other_cos]: [f64; 2]) -> [f64; 2] {
+    [
+        sin * other_cos + cos * other_sin,
+        cos * other_cos - sin * other_sin,
+    ]
+}
+
+/// Sine and cosine of an angle. During a firing a head turns by less than a hundredth: there the
+/// first terms of the series are exact but for the last bit, in a quarter of the time.
+#[inline]
+fn sin_cos(angle_rad: f64) -> [f64; 2] {
+    if angle_rad.abs() > 0.01 {
+        return angle_rad.sin_cos().into();
+    }
+    let square = angle_rad * angle_rad;
+    [
+        angle_rad * (1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))),
+        1.0 - square / 2.0 * (1.0 - square / 12.0 * (1.0 - square / 30.0)),
+    ]
 }
 
 impl Shot<'_> {
@@ -102,5 +147,20 @@ impl Shot<'_> {
             0.0
         };
         [azimuth_rad, elevation_rad as f32]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn small_angles_are_exact() {
+        for step in -2000..=2000 {
+            let angle_rad = f64::from(step) * 1e-5;
+            let [sin, cos] = sin_cos(angle_rad);
+            assert!((sin - angle_rad.sin()).abs() <= 4e-18, "{angle_rad}");
+            assert!((cos - angle_rad.cos()).abs() <= f64::EPSILON, "{angle_rad}");
+        }
     }
 }
