@@ -89,3 +89,4 @@ pub use sweepd_client::{client, host, publish};
 pub use sweepd_core::{assemble, pipeline, segment, sensor, sweep, wire};
 #[cfg(feature = "lab")]
 pub use sweepd_lab::{cloud, score, simulate};
+pub use sweepd_messages as messages;

@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use super::CliError;
 use super::tables::SegmentTables;
+use crate::export::mcap::{McapOutput, SweepMessages};
 use crate::export::{Axes, Existing, Exporter, Format, Title, is_sweep_file};
 use crate::files::output::{Former, sensor_folder};
 use sweepd_core::sensor::Model;
@@ -30,6 +31,10 @@ pub struct OutputOptions {
     /// A picture a sweep, of ranges, labels and the view from above: DIR/sweep_000000.png, ...
     #[arg(long, value_name = "DIR")]
     pub png: Option<PathBuf>,
+    /// All sweeps as messages of ROS 2, for Foxglove and ros2 bag: points, boxes of the segments, and
+    /// where the sensor sits: FILE.mcap
+    #[arg(long, value_name = "FILE")]
+    pub mcap: Option<PathBuf>,
     /// A line a segment of all sweeps: FILE.jsonl or FILE.csv; - is standard output, as JSON
     #[arg(long, value_name = "FILE")]
     pub segments: Option<PathBuf>,
@@ -150,6 +155,7 @@ pub struct Outputs {
     exporters: Vec<Vec<Exporter>>,
     existing: Existing,
     former: Vec<Former>,
+    mcap: Option<McapOutput>,
     segments: Option<SegmentTables>,
     axes: Axes,
     stdout: Option<BufWriter<Stdout>>,
@@ -172,10 +178,15 @@ pub struct SweepId {
 pub struct Encoder {
     formats: Vec<Format>,
     axes: Axes,
+    has_messages: bool,
 }
 
-/// The files of a sweep, or why one cannot be made, in the order of the formats.
-pub struct EncodedFiles(Vec<io::Result<Vec<u8>>>);
+/// What is written of a sweep.
+pub struct EncodedFiles {
+    /// Its files, or why one cannot be made, in the order of the formats.
+    files: Vec<io::Result<Vec<u8>>>,
+    messages: Option<SweepMessages>,
+}
 
 impl Encoder {
     /// The requested files of a sweep.
@@ -185,11 +196,12 @@ impl Encoder {
             sweep_number: id.seq,
         };
         let formats = self.formats.iter();
-        EncodedFiles(
-            formats
+        EncodedFiles {
+            files: formats
                 .map(|format| format.encode(sweep, self.axes, &title))
                 .collect(),
-        )
+            messages: self.has_messages.then(|| SweepMessages::of(&sweep)),
+        }
     }
 }
 
@@ -215,11 +227,16 @@ impl Outputs {
             Some(path) => Some(SegmentTables::create(path, options.json, axes, existing)?),
             None => None,
         };
+        let mcap = match &options.mcap {
+            Some(path) => Some(McapOutput::create(path, existing)?),
+            None => None,
+        };
         let mut outputs = Self {
             files,
             exporters: Vec::new(),
             existing,
             former: Vec::new(),
+            mcap,
             segments,
             axes,
             stdout,
@@ -250,6 +267,7 @@ impl Outputs {
         Encoder {
             formats: self.files.iter().map(|(_, format)| *format).collect(),
             axes: self.axes,
+            has_messages: self.mcap.is_some(),
         }
     }
 
@@ -266,8 +284,11 @@ impl Outputs {
     ) -> Result<(), CliError> {
         let SweepId { sensor, model, seq } = id;
         let exporters = self.exporters(sensor, sweep.header.sensor())?;
-        for (exporter, file) in exporters.iter_mut().zip(files.0) {
+        for (exporter, file) in exporters.iter_mut().zip(files.files) {
             exporter.write(seq, file)?;
+        }
+        if let Some((mcap, messages)) = self.mcap.as_mut().zip(files.messages) {
+            mcap.write(&messages)?;
         }
         if let Some(segments) = &mut self.segments {
             segments.sweep(sweep, seq)?;
@@ -310,11 +331,14 @@ impl Outputs {
             .map_err(CliError::Stdout)
     }
 
-    /// Completes the table of segments and renames it. Unfinished files are removed.
+    /// Completes the files that hold all sweeps and renames them. Unfinished files are removed.
     ///
     /// # Errors
     /// [`CliError`].
     pub fn finish(&mut self) -> Result<(), CliError> {
+        if let Some(mcap) = self.mcap.take() {
+            mcap.finish()?;
+        }
         match self.segments.take() {
             Some(segments) => segments.finish(),
             None => Ok(()),

@@ -1,7 +1,7 @@
 //! `sweepd record`: records live sensors to a capture, from UDP or through a running daemon.
 //!
 //! One thread for each port receives and never blocks on the disk; a recorder writes. With
-//! `--from` the daemon does both. signal-hook sets a flag on signals, without a runtime, a thread
+//! `--from` the daemon does both. With `--mcap` it is the sweeps that are recorded. signal-hook sets a flag on signals, without a runtime, a thread
 //! or `unsafe` of ours.
 
 mod args;
@@ -9,6 +9,7 @@ mod live;
 mod local;
 mod remote;
 mod report;
+mod sweeps;
 
 pub use args::Args;
 
@@ -28,9 +29,11 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         what: "handle signals",
         source,
     })?;
-    let (report, ended) = match &args.from {
-        Some(sensor) => remote::record(args, sensor, &over)?,
-        None => local::record(args, over)?,
+    let (report, ended) = match (&args.from, &args.mcap, &args.output) {
+        (Some(sensor), Some(path), _) => return sweeps::record(args, sensor, path, &over),
+        (Some(sensor), None, Some(path)) => remote::record(args, sensor, path, &over)?,
+        (_, _, Some(path)) => local::record(args, path, over)?,
+        (_, _, None) => return Err(CliError::Usage("give a file with --output".to_owned())),
     };
     report
         .print(&mut BufWriter::new(io::stdout().lock()))

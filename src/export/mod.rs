@@ -3,12 +3,14 @@
 //! * [`csv`]: every return with its provenance, to check the driver or to feed a spreadsheet.
 //! * [`pcd`]: the points and labels, for PCL, Open3D and CloudCompare.
 //! * [`segments`]: the table of segments, a line each.
+//! * [`mcap`]: the messages of ROS 2, for Foxglove and `ros2 bag`.
 //! * [`png`]: one picture of the measurements and their segmentation.
 //!
 //! The writers take a [`SweepRef`] and any [`Write`]. [`Format::encode`] makes a whole file in memory,
 //! on any thread; an [`Exporter`] puts such files into a directory, in their order.
 
 pub mod csv;
+pub mod mcap;
 pub mod pcd;
 pub mod png;
 pub mod segments;

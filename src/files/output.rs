@@ -50,6 +50,29 @@ pub enum WriteError {
         /// The part.
         path: PathBuf,
     },
+    /// Another process writes the file.
+    #[error("another recording writes {}; end that one first, or choose another name", path.display())]
+    Busy {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The name says another format.
+    #[error("{}: expected a name that ends in {ending}", path.display())]
+    Name {
+        /// The file.
+        path: PathBuf,
+        /// The ending of its format.
+        ending: &'static str,
+    },
+    /// The file cannot be written to its end, but what there is of it stays.
+    #[error("cannot write {}: {cause}; what was recorded stays there, and the next `sweepd record` to this name \
+        mends it", part.display())]
+    Unfinished {
+        /// The part.
+        part: PathBuf,
+        /// What the system says.
+        cause: io::Error,
+    },
     /// The directory holds files of a former run.
     #[error("{} holds {held} of a former run ({}{}); --force replaces {}, or name another folder",
         dir.display(), first.display(), if *several { ", ..." } else { "" }, if *several { "them" } else { "it" })]
@@ -84,6 +107,8 @@ pub struct NewFile {
     /// `None` if it is written directly, or already renamed.
     part: Option<PathBuf>,
     existing: Existing,
+    /// Whether the part stays without a commit.
+    keeps_part: bool,
 }
 
 impl NewFile {
@@ -98,6 +123,7 @@ impl NewFile {
             path: path.to_owned(),
             part: None,
             existing,
+            keeps_part: false,
         };
         if is_special(path) {
             let file = File::options().append(true).open(path).map_err(failed)?;
@@ -132,7 +158,10 @@ impl NewFile {
             // Unlike a rename, a link never replaces a file.
             match fs::hard_link(part, &self.path) {
                 // The part is removed on drop; the file has its other name now.
-                Ok(()) => return Ok(()),
+                Ok(()) => {
+                    self.keeps_part = false;
+                    return Ok(());
+                }
                 Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists => {
                     return Err(WriteError::Exists {
                         path: self.path.clone(),
@@ -147,15 +176,26 @@ impl NewFile {
         Ok(())
     }
 
+    /// From now on the part stays without a commit, as what there is of the file.
+    pub fn keep_part(&mut self) {
+        self.keeps_part = true;
+    }
+
     /// The error of a write to it.
     pub fn failed(&self, cause: io::Error) -> WriteError {
-        WriteError::file(&self.path, cause)
+        match &self.part {
+            Some(part) if self.keeps_part => WriteError::Unfinished {
+                part: part.clone(),
+                cause,
+            },
+            _ => WriteError::file(&self.path, cause),
+        }
     }
 }
 
 impl Drop for NewFile {
     fn drop(&mut self) {
-        if let Some(part) = &self.part {
+        if let Some(part) = self.part.as_ref().filter(|_| !self.keeps_part) {
             // The first error is the one to report.
             let _ = fs::remove_file(part);
         }
@@ -211,6 +251,13 @@ pub fn part_of(path: &Path) -> PathBuf {
     let mut part = path.as_os_str().to_owned();
     part.push(".part");
     part.into()
+}
+
+/// `drive-007.pcap.gz` for `drive.pcap.gz` and its ending.
+pub fn numbered(path: &Path, ending: &str, number: u64) -> PathBuf {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let stem = name.strip_suffix(ending).unwrap_or(&name);
+    path.with_file_name(format!("{stem}-{number:03}{ending}"))
 }
 
 /// Removes a file, if it is there.
@@ -365,6 +412,18 @@ mod tests {
             (names(&folder), fs::read(&path).unwrap()),
             (vec!["a.yaml".to_owned()], b"two".to_vec())
         );
+    }
+
+    #[test]
+    fn names_are_numbered_before_their_ending() {
+        let numbered = |path: &str, ending, number| numbered(path.as_ref(), ending, number);
+        for (path, ending, number, expected) in [
+            ("a/drive.pcap", ".pcap", 0, "a/drive-000.pcap"),
+            ("drive.x.pcap.gz", ".pcap.gz", 12, "drive.x-012.pcap.gz"),
+            ("/drive.mcap", ".mcap", 1234, "/drive-1234.mcap"),
+        ] {
+            assert_eq!(numbered(path, ending, number), Path::new(expected));
+        }
     }
 
     #[test]

@@ -662,3 +662,31 @@ fn a_full_disk_ends_it_with_one_error() {
     assert_eq!(number(&ran, " datagram"), 0);
     assert!(number(&ran, " because the disk was too slow or failed") > 0);
 }
+
+/// Like every consumer it may begin before the daemon. What it has to write is given once.
+#[test]
+fn a_recording_of_sweeps_waits_for_the_daemon() {
+    let folder = Folder::new("record-mcap");
+    let (file, root) = (folder.path("roof.mcap"), folder.path("root"));
+    let (file, root) = (file.to_str().unwrap(), root.to_str().unwrap());
+    let args = ["record", "--from", "roof", "--mcap", file, "--root", root];
+    let ran = sweepd(&[&args[..], &["--seconds", "2.5"]].concat());
+    assert_eq!(ran.code, 0, "{}", ran.stderr);
+    assert!(
+        ran.stderr.contains("not shared: is the daemon running") && ran.stdout.contains("0 sweeps"),
+        "{}",
+        ran.stderr
+    );
+    sweepd(&args).says(&["roof.mcap exists; --force replaces it"]);
+    for wrong in [
+        &["record", "--mcap", file][..],
+        &["record", "--from", "roof"],
+        &[&args[..], &["-o", "x.pcap"]].concat(),
+        &[&args[..], &["--sensor", "192.168.1.201"]].concat(),
+    ] {
+        assert_eq!(sweepd(wrong).code, 2, "{wrong:?}");
+    }
+    let text = folder.path("roof.pcap");
+    let args = ["record", "--from", "roof", "--mcap", text.to_str().unwrap()];
+    sweepd(&args).says(&["roof.pcap: expected a name that ends in .mcap"]);
+}

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::error::RecordError;
 use super::file::{CaptureFile, Format, is_being_written};
 use crate::capture::write::{Addressed, FILE_HEADER_LEN, record_len};
-use crate::files::output::{is_special, part_of, remove};
+use crate::files::output::{is_special, numbered, part_of, remove};
 
 /// Interval between syncs: a power failure loses at most this much.
 const SYNC_EVERY: Duration = Duration::from_secs(1);
@@ -26,7 +26,8 @@ pub struct Rotation {
 }
 
 impl Rotation {
-    fn is_wanted(self) -> bool {
+    /// Whether there is more than one file.
+    pub fn is_wanted(self) -> bool {
         self.bytes.is_some() || self.ns.is_some()
     }
 }
@@ -294,7 +295,7 @@ fn open(
 ) -> Result<(PathBuf, CaptureFile), RecordError> {
     loop {
         let named = if rotation.is_wanted() {
-            numbered(path, format, *next_number)
+            numbered(path, format.ending(), *next_number)
         } else {
             path.to_owned()
         };
@@ -322,29 +323,9 @@ fn is_file(path: &Path) -> bool {
     path.symlink_metadata().is_ok_and(|found| found.is_file())
 }
 
-/// `drive-007.pcap.gz` for `drive.pcap.gz`.
-fn numbered(path: &Path, format: Format, number: u64) -> PathBuf {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let ending = format.ending();
-    let stem = name.strip_suffix(ending).unwrap_or(&name);
-    path.with_file_name(format!("{stem}-{number:03}{ending}"))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn names_are_numbered_before_their_ending() {
-        let numbered = |path: &str, number| {
-            numbered(path.as_ref(), Format::of(path.as_ref()).unwrap(), number)
-                .display()
-                .to_string()
-        };
-        assert_eq!(numbered("a/drive.pcap", 0), "a/drive-000.pcap");
-        assert_eq!(numbered("drive.x.pcap.gz", 12), "drive.x-012.pcap.gz");
-        assert_eq!(numbered("/drive.pcap", 1234), "/drive-1234.pcap");
-    }
 
     #[test]
     fn names_that_say_no_format_are_refused() {

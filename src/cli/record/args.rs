@@ -15,16 +15,26 @@ Only data and position packets are recorded; all else is counted by reason. Ctrl
 cleanly. A packet is on the disk about a second after it came. Where a daemon has the sensor, --from \
 records what the daemon receives.
 
+With --mcap, this program records the sweeps that the daemon shares, not its packets: points, boxes of \
+the segments, and where the sensor sits, as messages of ROS 2. A sweep is on the disk about a second \
+after it came. A file is FILE.part until it has its end; one that a kill left so is mended when the \
+next recording to that name begins.
+
 Examples:
   sweepd record -o drive.pcap
   sweepd record -o minute.pcap.gz --seconds 60 --sensor 192.168.1.201
   sweepd record -o drive.pcap --port 2369 --rotate-mb 1000
   sweepd record -o group.pcap --multicast 239.1.2.3 --interface eth1
-  sweepd record -o roof.pcap --from roof")]
+  sweepd record -o roof.pcap --from roof
+  sweepd record --mcap roof.mcap --from roof --rotate-seconds 60")]
 pub struct Args {
     /// Write there: NAME.pcap or NAME.pcap.gz; with --force as NAME.pcap.part until it ends
-    #[arg(short, long, value_name = "FILE")]
-    pub(super) output: PathBuf,
+    #[arg(short, long, value_name = "FILE", required_unless_present = "mcap")]
+    pub(super) output: Option<PathBuf>,
+    /// Write the sweeps that the daemon of --from shares there, and no packets: NAME.mcap, for
+    /// Foxglove and ros2 bag; this program must run as the daemon's user
+    #[arg(long, value_name = "FILE", requires = "from", conflicts_with_all = ["output", "sensor"])]
+    pub(super) mcap: Option<PathBuf>,
     #[command(flatten)]
     pub(super) force: ForceOptions,
     /// Have the running daemon record what it receives of this sensor, by its name in the daemon's

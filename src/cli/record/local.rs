@@ -1,6 +1,7 @@
 //! Records ports of this host: a thread receives from each, and a recorder writes.
 
 use std::fs::File;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
@@ -20,15 +21,16 @@ use crate::daemon::record::protocol::{Progress, Received};
 /// Records ports of this host until `over` is set, the time is up, or the disk fails.
 pub fn record(
     args: &Args,
+    path: &Path,
     over: Arc<AtomicBool>,
 ) -> Result<(Report, Result<(), CliError>), CliError> {
     // Before the ports are open: what came during the wait would be old, or dropped.
-    let _pipe = await_reader(args, &over)?;
+    let _pipe = await_reader(path, &over)?;
     let sources = listen(args)?;
     let recorder = Recorder::start(RecorderConfig {
         rotation: args.rotation(),
         existing: args.force.existing(),
-        ..RecorderConfig::new(&args.output)
+        ..RecorderConfig::new(path)
     })?;
     let places: Vec<String> = sources
         .iter()
@@ -52,15 +54,15 @@ pub fn record(
 
 /// Waits for a program that reads the pipe, if the output is one, and says so. Keep the
 /// pipe until the recorder has it too: else the reader sees an end before the beginning.
-fn await_reader(args: &Args, over: &AtomicBool) -> Result<Option<File>, CliError> {
+fn await_reader(path: &Path, over: &AtomicBool) -> Result<Option<File>, CliError> {
     let mut is_announced = false;
     loop {
-        match open_special(&args.output) {
+        match open_special(path) {
             Err(error) if error.is_unread_pipe() && !over.load(Ordering::Relaxed) => {}
             opened => return Ok(opened?),
         }
         if !std::mem::replace(&mut is_announced, true) {
-            let output = args.output.display();
+            let output = path.display();
             complain(
                 "note",
                 format_args!("waiting for a program that reads {output}"),

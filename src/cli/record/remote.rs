@@ -1,5 +1,6 @@
 //! A recording that the daemon writes.
 
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -17,9 +18,10 @@ use sweepd_client::publish::Domain;
 pub fn record(
     args: &Args,
     sensor: &str,
+    path: &Path,
     over: &AtomicBool,
 ) -> Result<(Report, Result<(), CliError>), CliError> {
-    let request = request(args, sensor)?;
+    let request = request(args, sensor, path)?;
     let domain = Domain::at_or_default(args.root.as_deref());
     let socket = socket_path(domain.root());
     let runtime = tokio::runtime::Builder::new_current_thread()
@@ -69,9 +71,9 @@ pub fn record(
     })
 }
 
-fn request(args: &Args, sensor: &str) -> Result<Request, CliError> {
+fn request(args: &Args, sensor: &str, path: &Path) -> Result<Request, CliError> {
     // The daemon has another working directory.
-    let path = std::path::absolute(&args.output).map_err(|source| CliError::System {
+    let path = std::path::absolute(path).map_err(|source| CliError::System {
         what: "find the current folder",
         source,
     })?;

@@ -1,0 +1,277 @@
+//! The files of a recording of sweeps: one, or a sequence.
+
+use std::fs::{File, TryLockError};
+use std::io::{self, BufWriter};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use super::{McapWriter, SweepMessages, mend_file};
+use crate::capture::record::Rotation;
+use crate::files::output::{Existing, NewFile, WriteError, is_special, numbered, part_of};
+
+/// The ending of their names.
+const ENDING: &str = ".mcap";
+/// Interval between syncs: a power failure loses at most this much.
+const SYNC_EVERY: Duration = Duration::from_secs(1);
+
+/// What was written.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct WrittenSweeps {
+    /// Sweeps.
+    pub sweeps: u64,
+    /// Bytes of their messages, uncompressed.
+    pub bytes: u64,
+    /// The first file.
+    pub first: PathBuf,
+    /// The last file; the first, if there is only one.
+    pub last: PathBuf,
+    /// How many.
+    pub files: u64,
+}
+
+/// A file that a recording left without an end, and that was mended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Mended {
+    /// Its name now.
+    pub path: PathBuf,
+    /// Messages in it.
+    pub messages: u64,
+}
+
+/// Files under way. A file is `NAME.mcap.part` until it has its end. Where the disk fails it stays
+/// so, whole up to its last second.
+pub struct McapFiles {
+    path: PathBuf,
+    existing: Existing,
+    rotation: Rotation,
+    next_number: u64,
+    file: OpenFile,
+    written: WrittenSweeps,
+    on_mended: fn(&Mended),
+}
+
+struct OpenFile {
+    path: PathBuf,
+    new: NewFile,
+    writer: McapWriter<BufWriter<File>>,
+    /// The same file, to sync it.
+    disk: File,
+    bytes: u64,
+    begun_ns: Option<u64>,
+    synced: Instant,
+    is_synced: bool,
+}
+
+impl McapFiles {
+    /// Begins the first file. Files in the place of one that a killed recording left are mended
+    /// first, and `on_mended` is told.
+    ///
+    /// # Errors
+    /// [`WriteError`]: a file exists or is being written, or cannot be written.
+    pub fn create(
+        path: &Path,
+        rotation: Rotation,
+        existing: Existing,
+        on_mended: fn(&Mended),
+    ) -> Result<Self, WriteError> {
+        check_name(path)?;
+        let mut next_number = 0;
+        let file = open(path, rotation, existing, &mut next_number, on_mended)?;
+        Ok(Self {
+            path: path.to_owned(),
+            existing,
+            rotation,
+            next_number,
+            written: WrittenSweeps {
+                first: file.path.clone(),
+                last: file.path.clone(),
+                files: 1,
+                ..WrittenSweeps::default()
+            },
+            file,
+            on_mended,
+        })
+    }
+
+    /// Counts of what was written so far.
+    pub fn written(&self) -> &WrittenSweeps {
+        &self.written
+    }
+
+    /// Writes the messages of a sweep; begins the next file first if that is due.
+    ///
+    /// # Errors
+    /// [`WriteError`].
+    pub fn write(&mut self, messages: &SweepMessages) -> Result<(), WriteError> {
+        if self.is_full(messages) {
+            self.rotate()?;
+        }
+        let file = &mut self.file;
+        file.writer
+            .write(messages)
+            .map_err(|cause| file.new.failed(cause))?;
+        file.begun_ns.get_or_insert(messages.time_ns);
+        file.bytes += messages.bytes();
+        file.is_synced = false;
+        self.written.sweeps += 1;
+        self.written.bytes += messages.bytes();
+        Ok(())
+    }
+
+    /// Syncs what was written, if that is due.
+    ///
+    /// # Errors
+    /// [`WriteError`].
+    pub fn sync_now_and_then(&mut self) -> Result<(), WriteError> {
+        let file = &mut self.file;
+        if file.is_synced || file.synced.elapsed() < SYNC_EVERY {
+            return Ok(());
+        }
+        file.sync().map_err(|cause| file.new.failed(cause))
+    }
+
+    /// Ends the last file.
+    ///
+    /// # Errors
+    /// [`WriteError`].
+    pub fn finish(self) -> Result<WrittenSweeps, WriteError> {
+        self.file.finish()?;
+        Ok(self.written)
+    }
+
+    fn is_full(&self, messages: &SweepMessages) -> bool {
+        let OpenFile {
+            bytes, begun_ns, ..
+        } = self.file;
+        // A file holds at least one sweep. A clock that was set back also begins a new file.
+        begun_ns.is_some_and(|begun_ns| {
+            let Rotation { bytes: most, ns } = self.rotation;
+            most.is_some_and(|most| bytes + messages.bytes() > most)
+                || ns.is_some_and(|ns| messages.time_ns.abs_diff(begun_ns) >= ns)
+        })
+    }
+
+    fn rotate(&mut self) -> Result<(), WriteError> {
+        let next = open(
+            &self.path,
+            self.rotation,
+            self.existing,
+            &mut self.next_number,
+            self.on_mended,
+        )?;
+        self.written.last = next.path.clone();
+        self.written.files += 1;
+        std::mem::replace(&mut self.file, next).finish()
+    }
+}
+
+impl OpenFile {
+    fn begin(path: PathBuf, existing: Existing) -> Result<Self, WriteError> {
+        let (file, mut new) = NewFile::create(&path, existing)?;
+        let failed = |cause| WriteError::file(&path, cause);
+        let disk = file.try_clone().map_err(failed)?;
+        // Other recordings see by the lock that the file is not left behind; where files cannot be
+        // locked they cannot see it.
+        let _ = file.try_lock();
+        let mut writer = McapWriter::new(BufWriter::new(file)).map_err(failed)?;
+        // A full disk may still have room for a name; this shows that it has none for data.
+        writer.flush().map_err(failed)?;
+        // Whatever happens, what is recorded from now on stays.
+        new.keep_part();
+        Ok(Self {
+            path,
+            new,
+            writer,
+            disk,
+            bytes: 0,
+            begun_ns: None,
+            synced: Instant::now(),
+            is_synced: true,
+        })
+    }
+
+    fn sync(&mut self) -> io::Result<()> {
+        self.writer.flush()?;
+        sync(&self.disk)?;
+        self.synced = Instant::now();
+        self.is_synced = true;
+        Ok(())
+    }
+
+    fn finish(self) -> Result<(), WriteError> {
+        let finished = self.writer.finish().and_then(|_| sync(&self.disk));
+        finished.map_err(|cause| self.new.failed(cause))?;
+        self.new.commit()
+    }
+}
+
+/// A pipe or a device has nothing to sync (fsync(2), EINVAL).
+fn sync(file: &File) -> io::Result<()> {
+    match file.sync_data() {
+        Err(error) if error.kind() == io::ErrorKind::InvalidInput => Ok(()),
+        other => other,
+    }
+}
+
+/// Refuses a name that says another format.
+///
+/// # Errors
+/// [`WriteError::Name`].
+pub fn check_name(path: &Path) -> Result<(), WriteError> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    if is_special(path) || (name.ends_with(ENDING) && name.len() > ENDING.len()) {
+        return Ok(());
+    }
+    Err(WriteError::Name {
+        path: path.to_owned(),
+        ending: ENDING,
+    })
+}
+
+/// Opens the next file; in a sequence, the one with the next free number.
+fn open(
+    path: &Path,
+    rotation: Rotation,
+    existing: Existing,
+    next_number: &mut u64,
+    on_mended: fn(&Mended),
+) -> Result<OpenFile, WriteError> {
+    if !rotation.is_wanted() {
+        if existing == Existing::Keep {
+            mend_left_behind(path, on_mended)?;
+        }
+        return OpenFile::begin(path.to_owned(), existing);
+    }
+    loop {
+        let path = numbered(path, ENDING, *next_number);
+        *next_number += 1;
+        match mend_left_behind(&path, on_mended) {
+            // Another recording of the same sequence writes it.
+            Err(WriteError::Busy { .. }) => continue,
+            other => other?,
+        }
+        match OpenFile::begin(path, existing) {
+            Err(WriteError::Exists { .. } | WriteError::Part { .. }) => {}
+            other => return other,
+        }
+    }
+}
+
+/// Mends the part of a recording that was killed, if there is one in the place of this file.
+fn mend_left_behind(path: &Path, on_mended: fn(&Mended)) -> Result<(), WriteError> {
+    let part = part_of(path);
+    let is_file = |path: &Path| path.symlink_metadata().is_ok_and(|found| found.is_file());
+    if !is_file(&part) || path.symlink_metadata().is_ok() {
+        return Ok(());
+    }
+    let file = File::open(&part).map_err(|cause| WriteError::file(&part, cause))?;
+    if matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
+        return Err(WriteError::Busy { path: part });
+    }
+    let messages = mend_file(&part, path)?;
+    on_mended(&Mended {
+        path: path.to_owned(),
+        messages,
+    });
+    Ok(())
+}

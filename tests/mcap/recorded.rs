@@ -1,0 +1,146 @@
+//! `sweepd record --mcap` beside a consumer of the same daemon.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use mcap::MessageStream;
+use mcap::io::MessageReader;
+use mcap::sans_io::LinearReaderOptions;
+use sweepd::messages::{Cloud, MessageHeader, Stamp, markers};
+
+use crate::common::setup::{Process, SOON, Setup, sweepd};
+
+/// The messages of the topics of `roof` by topic and time.
+type Read = BTreeMap<(String, u64), Vec<u8>>;
+
+/// What a reader of whole files finds, the transforms left out.
+fn read(path: &Path) -> Read {
+    let bytes = fs::read(path).unwrap();
+    let messages = MessageStream::new(&bytes).unwrap().map(Result::unwrap);
+    let mut found = Read::new();
+    for one in messages.filter(|one| one.channel.topic != "/tf_static") {
+        let key = (one.channel.topic.clone(), one.log_time);
+        assert!(found.insert(key, one.data.into_owned()).is_none());
+    }
+    found
+}
+
+fn record(setup: &Setup, file: &Path, more: &[&str]) -> Process {
+    let (file, root) = (file.to_str().unwrap(), setup.own.root().to_str().unwrap());
+    let args = ["record", "--from", "roof", "--mcap", file, "--root", root];
+    Process::spawn(sweepd(&[&args, more].concat()), &setup.path("record.log"))
+}
+
+fn said(setup: &Setup) -> String {
+    fs::read_to_string(setup.path("record.log")).unwrap_or_default()
+}
+
+fn until(what: &str, setup: &Setup, is_so: impl Fn() -> bool) {
+    let begun = Instant::now();
+    while !is_so() {
+        assert!(begun.elapsed() < 6 * SOON, "{what}: {}", said(setup));
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// What is in the files is what a consumer got at the same time, encoded by the consumer.
+#[test]
+fn a_recording_has_the_sweeps_that_consumers_get() {
+    let mount = "mount = { x_m = 1, y_m = 2, z_m = 3, yaw_deg = 90 }";
+    let setup = Setup::new(mount, "");
+    let _daemon = setup.daemon();
+    let mut client = setup.client();
+    let file = setup.path("roof.mcap");
+    let mut recording = record(&setup, &file, &["--rotate-seconds", "2"]);
+    let first = setup.path("roof-000.mcap.part");
+    until("it begins", &setup, || first.exists());
+    let mut sensor = setup.sensor("vlp16", 600, 5.0);
+    let header = MessageHeader {
+        frame_id: "roof",
+        stamp: Stamp::First,
+    };
+    let mut expected = Read::new();
+    while let Some(sweep) = client
+        .next(Duration::from_secs(if expected.is_empty() {
+            20
+        } else {
+            2
+        }))
+        .unwrap()
+    {
+        let sweep = sweep.view().unwrap();
+        let (mut points, mut boxes) = (Vec::new(), Vec::new());
+        Cloud::default().encode(&sweep, &header, &mut points);
+        markers::encode(&sweep, &header, &mut boxes);
+        for (topic, message) in [("points", points), ("markers", boxes)] {
+            let key = (format!("/sweepd/roof/{topic}"), sweep.header.time_ns as u64);
+            expected.insert(key, message);
+        }
+    }
+    assert!(sensor.wait());
+    recording.ends_when_told().unwrap();
+    let mut found = Read::new();
+    let mut files = 0;
+    for number in 0..9 {
+        let file = setup.path(&format!("roof-{number:03}.mcap"));
+        if file.exists() {
+            found.extend(read(&file));
+            files += 1;
+        }
+    }
+    assert!(files >= 2, "{files} files");
+    // Each may have missed some on a busy machine.
+    let common = expected.iter().filter(|(key, _)| found.contains_key(*key));
+    let common: Vec<_> = common.collect();
+    assert!(common.len() >= 60, "{} of {}", common.len(), expected.len());
+    for (key, message) in common {
+        assert!(found[key] == *message, "{key:?}");
+    }
+}
+
+/// A recording that is killed has all but its last second, and the next one mends it.
+#[test]
+fn a_killed_recording_is_mended() {
+    let setup = Setup::new("", "");
+    let _daemon = setup.daemon();
+    let _ = setup.client();
+    let (file, part) = (setup.path("roof.mcap"), setup.path("roof.mcap.part"));
+    let mut recording = record(&setup, &file, &[]);
+    until("it begins", &setup, || part.exists());
+    let mut sensor = setup.sensor("vlp16", 600, 30.0);
+    until("there are some megabytes", &setup, || {
+        part.metadata().is_ok_and(|part| part.len() > 4_000_000)
+    });
+    // A second recording does not take the first one's file.
+    let mut second = record(&setup, &file, &[]);
+    assert!(!second.wait());
+    assert!(
+        said(&setup).contains("another recording writes"),
+        "{}",
+        said(&setup)
+    );
+
+    recording.signal("-KILL");
+    assert!(!recording.wait());
+    let options = LinearReaderOptions::default().with_skip_end_magic(true);
+    let streamed = MessageReader::new_with_options(File::open(&part).unwrap(), options)
+        .map_while(Result::ok)
+        .filter(|one| one.channel.topic != "/tf_static")
+        .count();
+    assert!(streamed >= 10, "{streamed} messages");
+
+    // It mends the file, and then finds that there is one.
+    let mut next = record(&setup, &file, &[]);
+    assert!(!next.wait());
+    let said = said(&setup);
+    assert!(
+        said.contains("mended") && said.contains("exists; --force replaces it"),
+        "{said}"
+    );
+    assert_eq!(read(&file).len(), streamed);
+    assert!(!part.exists());
+    sensor.signal("-KILL");
+    sensor.wait();
+}
