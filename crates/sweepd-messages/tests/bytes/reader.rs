@@ -17,7 +17,7 @@ impl<'a> Reader<'a> {
 
     /// The next bytes, at a multiple of `align`.
     fn take(&mut self, len: usize, align: usize) -> &'a [u8] {
-        while self.at % align != 0 {
+        while !self.at.is_multiple_of(align) {
             assert_eq!(self.bytes[self.at], 0, "padding");
             self.at += 1;
         }

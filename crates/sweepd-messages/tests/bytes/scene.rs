@@ -50,7 +50,7 @@ fn scatter(sweep: &mut SweepMut<'_>, random: &mut fastrand::Rng) {
     sweep.header.flags = [0, flags::CIRCULAR, flags::REVERSED][random.usize(0..3)];
     for (index, column) in sweep.columns.iter_mut().enumerate() {
         let time_ns = index as u32 * 55_296;
-        let (azimuth_rad, rate) = (random.f32() * 6.28, 126.0 * random.f32() - 63.0);
+        let (azimuth_rad, rate) = (random.f32() * 6.0, 126.0 * random.f32() - 63.0);
         *column = match random.u8(0..8) {
             0 => Column::missing(azimuth_rad, rate, time_ns),
             1 => Column::unfired(azimuth_rad, rate, time_ns),
