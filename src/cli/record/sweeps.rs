@@ -72,7 +72,7 @@ fn note_mended(mended: &Mended) {
     let file = mended.path.display();
     complain(
         "note",
-        format_args!("{file}: mended, as its recording was killed; it has {messages}"),
+        format_args!("{file}: mended, as its recording did not come to its end; it has {messages}"),
     );
 }
 
