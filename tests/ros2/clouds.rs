@@ -436,7 +436,7 @@ fn check_diagnostics(statuses: &Value) {
         (&json!("VLP-16"), &json!("streaming"))
     );
     let number = |key: &str| values[key].as_str().unwrap().parse::<f64>().unwrap();
-    assert!((9.0..11.0).contains(&number("sweeps/s")), "{values}");
+    assert!((7.0..13.0).contains(&number("sweeps/s")), "{values}");
     assert!(
         number("points computed") > 100.0 && number("points subscribers") == 4.0,
         "{values}"

@@ -54,7 +54,16 @@ fn what_comes_goes_or_dies_stops_nothing() {
     let _alone = alone();
     let world = World::new(&[("roof", ROOF_MOUNT), ("front", "")]);
     let vlp16 = vlp16();
-    let mut bridge = world.bridge(DDS_DOMAIN, &[]);
+    let mut bridge = world.bridge(
+        DDS_DOMAIN,
+        &[
+            "--ros-args",
+            "-p",
+            "front.organized:=true",
+            "-r",
+            "~/front/points:=/velodyne_points",
+        ],
+    );
     let jazzy = |wanted: &Value| Peer::ros("SWEEPD_JAZZY", DDS_DOMAIN, wanted);
     let mut watcher = jazzy(&json!({"diagnostics": true, "nodes": true})).ready();
     watcher.wait_for("the bridge is there without a daemon", |said| {
@@ -102,10 +111,14 @@ fn what_comes_goes_or_dies_stops_nothing() {
         );
     }
 
-    // A sensor that comes late.
+    // A sensor that comes late, with a topic and parameters as a launch file gives them.
     let _front = world.feed("front", vlp16, "1");
-    let mut of_front = jazzy(&json!({"clouds": ["/sweepd/front/points"]})).ready();
-    cloud_after(&mut of_front, "a late sensor has a cloud", realtime_ns());
+    let mut of_front = jazzy(&json!({"clouds": ["/velodyne_points"]})).ready();
+    let cloud = of_front.wait_for("a late sensor has a cloud", |said| {
+        said.line["topic"] == "/velodyne_points"
+    });
+    assert_eq!(cloud.line["height"], 16, "{}", cloud.line);
+    assert_eq!(cloud.line["is_dense"], false, "{}", cloud.line);
     drop(of_front);
 
     // A subscriber that dies and starts again.
