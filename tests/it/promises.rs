@@ -84,6 +84,10 @@ fn every_command_of_a_page_runs_tests() {
             match word {
                 "--lib" => tests.extend(["src", "crates"].into_iter().flat_map(sources)),
                 "--test" => tests.extend(files_of(words.next().unwrap_or_default())),
+                "-p" => {
+                    let package = words.next().unwrap_or_default();
+                    tests.extend(sources(&format!("crates/{package}")));
+                }
                 "--features" => drop(words.next()),
                 option if option.starts_with('-') => {}
                 filter => filters.push(filter),
