@@ -105,10 +105,11 @@ fn decode(decoder: &Decoder, packet: &DataPacket, azimuth_rad: f32, mode: Return
         kind: vec![9; pixels],
         returns: 0,
     };
-    let blocks = &packet.blocks[..decoder.spec.blocks_per_azimuth(mode)];
+    let places = decoder.spec.places(mode);
     // The second firing of a block, where there is one.
     let records = Records {
-        blocks,
+        blocks: &packet.blocks[..places.blocks],
+        bank_step: places.bank_step,
         first: (decoder.spec.firings_per_azimuth() - 1) * decoder.spec.channels,
     };
     let [range, range2] = &mut planes.range_m;
@@ -132,9 +133,16 @@ fn decode(decoder: &Decoder, packet: &DataPacket, azimuth_rad: f32, mode: Return
 }
 
 /// The distance that a record has, and its reflectivity.
-fn reported(decoder: &Decoder, packet: &DataPacket, channel: usize, second: bool) -> (u16, u8) {
+fn reported(
+    decoder: &Decoder,
+    packet: &DataPacket,
+    mode: ReturnMode,
+    channel: usize,
+    second: bool,
+) -> (u16, u8) {
     let spec = decoder.spec;
-    let block = channel / 32 + if second { spec.banks() } else { 0 };
+    let places = spec.places(mode);
+    let block = channel / 32 * places.bank_step + usize::from(second) * places.return_step;
     let record = packet.blocks[block].records
         [channel % 32 + (spec.firings_per_azimuth() - 1) * spec.channels];
     (record.distance.get(), record.reflectivity)
@@ -205,7 +213,8 @@ fn a_firing_is_what_the_formulas_make_of_its_records() {
                             planes.range_m[plane][pixel],
                             planes.reflectivity[plane][pixel],
                         );
-                        let reported = reported(&decoder, &packet, beam.channel as usize, second);
+                        let reported =
+                            reported(&decoder, &packet, mode, beam.channel as usize, second);
                         returns += u32::from(reported.0 != 0);
                         check(
                             &format!("{name} {mode} row {row}"),

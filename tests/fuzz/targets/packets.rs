@@ -42,7 +42,7 @@ pub fn data_packet(input: &[u8]) {
         assert!(packet.returns() <= BLOCKS * RECORDS);
         let _ = (packet.banks(), ReturnMode::from_byte(packet.return_mode));
         let _ = (0..=BLOCKS + 1)
-            .filter(|&of| packet.azimuths_in_groups(of))
+            .filter(|&of| packet.azimuths_in_groups(of, BLOCKS))
             .count();
         unit.hear(packet);
         for detector in &mut detectors {

@@ -9,7 +9,7 @@ use sweepd::sensor::{Calibration, Model, stream};
 use sweepd::simulate::unit::unit;
 use sweepd::sweep::layout::{COLUMNS_CAPACITY, LABEL_FIRST_SEGMENT, ReturnChoice};
 use sweepd::sweep::{HeapBuffers, Memory, SweepRef};
-use sweepd::wire::data::{BLOCKS, DATA_PACKET_LEN, FLAG_BANK_1, ReturnMode};
+use sweepd::wire::data::{BLOCKS, DATA_PACKET_LEN, ReturnMode};
 use sweepd::wire::hdl64::{Clock, Dump, Gps, Live, Series, pair};
 use sweepd::wire::position::POSITION_PACKET_LEN;
 use sweepd::wire::{DataPacket, Datagram};
@@ -37,21 +37,17 @@ struct Head {
 impl Head {
     fn packet(&mut self) -> DataPacket {
         let spec = self.model.spec();
-        let (copies, block_ns) = (
-            spec.blocks_per_azimuth(self.mode),
-            i64::from(spec.azimuth_period_ns(self.mode)),
-        );
+        let places = spec.places(self.mode);
+        let block_ns = i64::from(spec.azimuth_period_ns(self.mode));
         let mut packet = DataPacket::new(0, self.mode.byte(), spec.product.unwrap_or_default());
         if self.model.is_hdl64e() {
             (packet.return_mode, packet.product) = status(self.sent as usize);
         }
+        spec.mark_banks(&mut packet, self.mode);
         let begun_ns = self.clock_ns;
         for (index, block) in packet.blocks.iter_mut().enumerate() {
-            if index > 0 && index % copies == 0 {
+            if index > 0 && index % places.blocks == 0 && index < places.blocks * places.azimuths {
                 self.turn(block_ns);
-            }
-            if spec.banks() == 2 && index % 2 == 1 {
-                block.flag.set(FLAG_BANK_1);
             }
             block.set_azimuth_cdeg((self.azimuth.rem_euclid(TURN) / 1000) as u16);
             for (channel, record) in block.records.iter_mut().enumerate() {

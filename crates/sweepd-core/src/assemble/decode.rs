@@ -168,15 +168,16 @@ impl Decoder {
         mut pixels: DualPixels<'_>,
     ) -> u32 {
         let direction = self.direction(azimuth_rad);
-        let (first, second) = records.split_at(self.spec.banks());
+        let places = self.spec.places(ReturnMode::Dual);
+        let other = records.behind(places.return_step);
         let mut returns = 0;
         for group in 0..self.lanes.groups() {
             let side_angles = &row_offsets.side_angles()[group];
-            let places = &row_offsets.pixels()[group];
+            let pixel_indices = &row_offsets.pixels()[group];
             let first = self.lanes.decode(
                 simd,
                 group,
-                first,
+                records,
                 direction,
                 side_angles,
                 self.is_normalised,
@@ -184,15 +185,15 @@ impl Decoder {
             let second = self.lanes.decode(
                 simd,
                 group,
-                second,
+                other,
                 direction,
                 side_angles,
                 self.is_normalised,
             );
             let pairs = self.choose(simd, first, second);
-            pixels.chosen.write(places, &pairs.chosen);
-            pixels.other.write(places, &pairs.other);
-            write_bytes(pixels.kind, places, pairs.kind);
+            pixels.chosen.write(pixel_indices, &pairs.chosen);
+            pixels.other.write(pixel_indices, &pairs.other);
+            write_bytes(pixels.kind, pixel_indices, pairs.kind);
             returns += first.returns + second.returns;
         }
         returns
@@ -344,6 +345,7 @@ mod tests {
         };
         let records = Records {
             blocks: &packet.blocks[..2],
+            bank_step: 1,
             first: 0,
         };
         let pixels = DualPixels {

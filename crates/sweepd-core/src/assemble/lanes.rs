@@ -117,12 +117,14 @@ pub struct Decoded<S: Simd> {
 /// Where a firing points: sine and cosine of its azimuth.
 pub type Direction = [f32; 2];
 
-/// The records of one or both returns of a firing: the blocks from its first on, and where its
-/// records begin in each.
+/// The records of a return of a firing: the blocks from its first on, which of them are its own,
+/// and where its records begin in each.
 #[derive(Clone, Copy, Debug)]
 pub struct Records<'a> {
-    /// The blocks.
+    /// The blocks, also those of the other return.
     pub blocks: &'a [Block],
+    /// Blocks from a bank of 32 channels to the next.
+    pub bank_step: usize,
     /// First record of the firing in each.
     pub first: usize,
 }
@@ -210,20 +212,13 @@ impl<S: Simd> Decoded<S> {
 }
 
 impl Records<'_> {
-    /// The records in the first blocks, and those in the blocks that follow them.
+    /// Those of the other return, this many blocks behind.
     #[inline(always)]
-    pub fn split_at(self, blocks: usize) -> (Self, Self) {
-        let (first, second) = self.blocks.split_at(blocks);
-        (
-            Records {
-                blocks: first,
-                ..self
-            },
-            Records {
-                blocks: second,
-                ..self
-            },
-        )
+    pub fn behind(self, blocks: usize) -> Self {
+        Self {
+            blocks: &self.blocks[blocks..],
+            ..self
+        }
     }
 
     /// A group of records: distance in the low sixteen bits of each, then reflectivity, then an
@@ -231,8 +226,8 @@ impl Records<'_> {
     #[inline(always)]
     fn group<S: Simd>(&self, simd: S, group: usize) -> i32x16<S> {
         const IN_BLOCK: usize = RECORDS / LANES;
-        let records =
-            &self.blocks[group / IN_BLOCK].records[self.first + group % IN_BLOCK * LANES..];
+        let records = &self.blocks[group / IN_BLOCK * self.bank_step].records
+            [self.first + group % IN_BLOCK * LANES..];
         let bytes = records
             .as_bytes()
             .first_chunk()

@@ -2,7 +2,7 @@
 //! was left out.
 
 use super::lanes::Records;
-use crate::sensor::model::Spec;
+use crate::sensor::model::{Places, Spec};
 use crate::wire::data::{BLOCKS, ReturnMode, TURN_CDEG};
 use crate::wire::{DataPacket, HOUR_US};
 
@@ -67,8 +67,8 @@ impl Sector {
 pub struct FiringTiming {
     /// Firings of a packet.
     pub firings: usize,
-    /// Blocks that one firing takes, or the two that share one.
-    pub blocks: usize,
+    /// Where the returns of each azimuth are.
+    pub places: Places,
     /// From one firing to the next, nanoseconds.
     pub period_ns: i64,
     channels: usize,
@@ -81,7 +81,7 @@ impl FiringTiming {
     pub fn new(spec: &Spec, mode: ReturnMode) -> Self {
         Self {
             firings: spec.firings_per_packet(mode),
-            blocks: spec.blocks_per_azimuth(mode),
+            places: spec.places(mode),
             period_ns: i64::from(spec.firing_period_ns(mode)),
             channels: spec.channels,
             sharing: spec.firings_per_azimuth().ilog2(),
@@ -90,13 +90,14 @@ impl FiringTiming {
 
     /// The first block of a firing.
     pub fn block(&self, firing: usize) -> usize {
-        self.azimuth(firing) * self.blocks
+        self.azimuth(firing) * self.places.blocks
     }
 
     /// The records of a firing.
     pub fn records<'a>(&self, packet: &'a DataPacket, firing: usize) -> Records<'a> {
         Records {
-            blocks: &packet.blocks[self.block(firing)..][..self.blocks],
+            blocks: &packet.blocks[self.block(firing)..][..self.places.blocks],
+            bank_step: self.places.bank_step,
             first: self.behind(firing) * self.channels,
         }
     }
@@ -151,14 +152,17 @@ impl Motion {
     /// # Errors
     /// [`Implausible`] if no head turns like that, not even with a limited field of view.
     pub fn of(packet: &DataPacket, mode: ReturnMode, spec: &Spec) -> Result<Self, Implausible> {
-        let blocks_per_azimuth = spec.blocks_per_azimuth(mode);
-        if !packet.azimuths_in_groups(blocks_per_azimuth) {
+        let Places {
+            blocks,
+            azimuths: count,
+            ..
+        } = spec.places(mode);
+        if !packet.azimuths_in_groups(blocks, count) {
             return Err(Implausible::Unpaired);
         }
-        let count = BLOCKS / blocks_per_azimuth;
         let mut azimuths = [0; BLOCKS];
-        let blocks = packet.blocks.iter().step_by(blocks_per_azimuth);
-        for (azimuth, block) in azimuths.iter_mut().zip(blocks) {
+        let first_blocks = packet.blocks.iter().step_by(blocks);
+        for (azimuth, block) in azimuths[..count].iter_mut().zip(first_blocks) {
             *azimuth = block.azimuth_cdeg();
         }
         let mut steps = [0.0; BLOCKS - 1];
@@ -267,10 +271,11 @@ pub fn rate_between(
     spec: &Spec,
 ) -> Option<f64> {
     let us = i64::from(last.stamp_us()) - i64::from(first.stamp_us());
-    let azimuths = spec.azimuths_per_packet(mode) as i64 - 1;
+    let places = spec.places(mode);
+    let steps = places.azimuths - 1;
     let lasted_ns = us.rem_euclid(i64::from(HOUR_US)) * 1000
-        + azimuths * i64::from(spec.azimuth_period_ns(mode));
-    let turned = f64::from(last.blocks[BLOCKS - 1].azimuth_cdeg())
+        + steps as i64 * i64::from(spec.azimuth_period_ns(mode));
+    let turned = f64::from(last.blocks[steps * places.blocks].azimuth_cdeg())
         - f64::from(first.blocks[0].azimuth_cdeg());
     (0..HALF_TURN_NS)
         .contains(&lasted_ns)

@@ -229,7 +229,7 @@ impl Detector {
             detection::says_two_returns(packet)
         } else {
             let turns = packet.blocks[0].azimuth_cdeg() != packet.blocks[BLOCKS - 1].azimuth_cdeg();
-            turns.then(|| packet.azimuths_in_groups(2))
+            turns.then(|| packet.azimuths_in_groups(2, BLOCKS / 2))
         };
         match is_paired {
             Some(true) => self.azimuths.paired += 1,

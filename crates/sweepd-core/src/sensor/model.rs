@@ -1,6 +1,6 @@
 //! The models as const tables: everything that differs between them is here.
 
-use crate::wire::data::{BLOCKS, RECORDS, ReturnMode};
+use crate::wire::data::{BLOCKS, DataPacket, FLAGS, RECORDS, ReturnMode};
 
 /// A supported sensor model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -30,6 +30,10 @@ pub struct Spec {
     pub product: Option<u8>,
     /// Number of beams, of records in a firing and of rows in the image.
     pub channels: usize,
+    /// Heads that fire together, each with its share of the channels.
+    heads: usize,
+    /// Whether a block is followed by that of its other return, and not by that of the next bank.
+    returns_adjoin: bool,
     /// Firing times with one return, and with two.
     timing: [Timing; 2],
     /// What the time stamp of a packet is the time of.
@@ -47,10 +51,23 @@ pub struct Spec {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Timing {
     firing_period_ns: u32,
-    /// Shots come in bursts: the period of bursts, and the time of each shot after the first of its
-    /// burst.
+    /// Shots of a head come in bursts: the period of bursts, and the time of each shot after the
+    /// first of its burst.
     burst_period_ns: u32,
     burst_ns: &'static [u32],
+}
+
+/// Where the returns of one azimuth are in a packet: all of them in neighbouring blocks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Places {
+    /// Blocks that share one azimuth. The first azimuth begins with block 0.
+    pub blocks: usize,
+    /// Azimuths of a packet. Blocks behind the last one are not used.
+    pub azimuths: usize,
+    /// Blocks from a bank of 32 channels to the next bank, of the same return.
+    pub bank_step: usize,
+    /// Blocks from a return to the other one, of the same bank.
+    pub return_step: usize,
 }
 
 /// What the time stamp of a packet is the time of.
@@ -80,6 +97,8 @@ const VLP16: Spec = Spec {
     flag: "vlp16",
     product: Some(0x22),
     channels: 16,
+    heads: 1,
+    returns_adjoin: false,
     timing: [Timing {
         firing_period_ns: 55_296,
         burst_period_ns: 2_304,
@@ -156,6 +175,7 @@ const HDL64E_S2: Spec = Spec {
     flag: "hdl64e-s2",
     product: None,
     channels: 64,
+    heads: 2,
     timing: [EVERY_48_US, EVERY_57_6_US],
     stamp: Stamp::Output,
     shifted: true,
@@ -239,19 +259,36 @@ impl Spec {
         }
     }
 
-    /// Blocks that one return of a firing takes: two on an HDL-64E, upper head first.
+    /// Banks of 32 channels; one return of a firing takes a block of each.
     pub const fn banks(&self) -> usize {
         self.channels.div_ceil(RECORDS)
     }
 
-    /// Blocks that share one azimuth.
-    pub fn blocks_per_azimuth(&self, mode: ReturnMode) -> usize {
-        self.banks() * mode.returns()
+    /// Where the returns of an azimuth are.
+    pub const fn places(&self, mode: ReturnMode) -> Places {
+        let banks = self.banks();
+        let returns = mode.returns();
+        let blocks = banks * returns;
+        let [bank_step, return_step] = if self.returns_adjoin {
+            [returns, 1]
+        } else {
+            [1, banks]
+        };
+        Places {
+            blocks,
+            azimuths: BLOCKS / blocks,
+            bank_step,
+            return_step,
+        }
     }
 
-    /// Azimuths of a data packet.
-    pub fn azimuths_per_packet(&self, mode: ReturnMode) -> usize {
-        BLOCKS / self.blocks_per_azimuth(mode)
+    /// Writes the bank marker of each block, as a packet of this model has it.
+    pub fn mark_banks(&self, packet: &mut DataPacket, mode: ReturnMode) {
+        let places = self.places(mode);
+        for (index, block) in packet.blocks.iter_mut().enumerate() {
+            let bank = index % places.blocks / places.bank_step % self.banks();
+            block.flag.set(FLAGS[bank]);
+        }
     }
 
     /// Firings that share one azimuth: two on a 16-beam model, else one.
@@ -261,7 +298,7 @@ impl Spec {
 
     /// Firings of a data packet.
     pub fn firings_per_packet(&self, mode: ReturnMode) -> usize {
-        self.azimuths_per_packet(mode) * self.firings_per_azimuth()
+        self.places(mode).azimuths * self.firings_per_azimuth()
     }
 
     fn timing(&self, mode: ReturnMode) -> &Timing {
@@ -291,7 +328,7 @@ impl Spec {
             burst_ns,
             ..
         } = self.timing(mode);
-        let shot = channel % RECORDS;
+        let shot = channel % (self.channels / self.heads);
         burst_period_ns * (shot / burst_ns.len()) as u32 + burst_ns[shot % burst_ns.len()]
     }
 

@@ -7,6 +7,8 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 use super::corrected::Corrected;
 use super::layout::*;
+use crate::sensor::Model;
+use crate::sensor::model::Places;
 use crate::wire::data::{RECORDS, ReturnMode};
 
 /// A sweep to read: a view over its bytes, trimmed to the columns and segments that are there.
@@ -354,15 +356,23 @@ impl<'a> SweepRef<'a> {
         [self.at(row, column, segmented), self.at(row, column, other)]
     }
 
+    /// Where the returns of an azimuth are in a packet; as those of a VLP-16 for a model that this
+    /// program does not know.
+    fn places(&self) -> Places {
+        let model = Model::from_code(self.header.model).unwrap_or(Model::Vlp16);
+        model.spec().places(self.header.return_mode())
+    }
+
     fn at(&self, row: usize, column: usize, stored: StoredReturn) -> Option<Return> {
         if !is_return(stored.range_m) {
             return None;
         }
         let firing = self.firing(row, column);
         let beam = &self.beams[row];
-        let banks = self.beams.len().div_ceil(RECORDS);
-        let block =
-            beam.channel as usize / RECORDS + if stored.in_second_blocks { banks } else { 0 };
+        let places = self.places();
+        let bank = beam.channel as usize / RECORDS;
+        let number = usize::from(stored.in_second_blocks);
+        let block = bank * places.bank_step + number * places.return_step;
         let shot = Shot::new(firing, beam);
         let along_m = shot.along_m(stored.range_m);
         let [azimuth_rad, elevation_rad] = shot.direction_rad(along_m);

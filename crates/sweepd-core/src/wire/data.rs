@@ -31,6 +31,8 @@ pub const FLAG_BANK_1: u16 = 0xDDFF;
 pub const FLAG_BANK_2: u16 = 0xCCFF;
 /// Marker of a block of lasers 96-127 (VLS-128).
 pub const FLAG_BANK_3: u16 = 0xBBFF;
+/// The markers of the banks, in their order.
+pub const FLAGS: [u16; 4] = [FLAG_BANK_0, FLAG_BANK_1, FLAG_BANK_2, FLAG_BANK_3];
 /// Markers of the four unused blocks at the end of a VLS-128 dual-return packet.
 const FLAG_UNUSED: [u16; 2] = [0x0000, 0xFFFF];
 
@@ -120,7 +122,7 @@ impl ReturnMode {
     }
 
     /// Returns reported for each shot: 2 in dual mode, else 1.
-    pub fn returns(self) -> usize {
+    pub const fn returns(self) -> usize {
         match self {
             Self::Dual => 2,
             Self::Strongest | Self::Last => 1,
@@ -265,12 +267,11 @@ impl DataPacket {
         }
     }
 
-    /// Whether blocks come in groups of this many with equal azimuth: 2 in dual-return packets of
-    /// one-bank models, and in those of an HDL-64E, 4 in its dual-return packets.
+    /// Whether the first `groups` groups of this many blocks each have one azimuth.
     ///
     /// True also for any packet of a head that stands still.
-    pub fn azimuths_in_groups(&self, of: usize) -> bool {
-        self.blocks.chunks(of.max(1)).all(|group| {
+    pub fn azimuths_in_groups(&self, of: usize, groups: usize) -> bool {
+        self.blocks.chunks(of.max(1)).take(groups).all(|group| {
             group
                 .iter()
                 .all(|b| b.azimuth_cdeg() == group[0].azimuth_cdeg())

@@ -158,15 +158,15 @@ impl<'a> Emitter<'a> {
                 .iter_mut()
                 .for_each(|block| block.set_azimuth_cdeg(azimuth));
         }
-        let mut shots = [(0, 0.0); RECORDS];
+        // Lasers that fire together look along one direction of the head.
+        let mut shot_ns = i64::MIN;
+        let mut head_rad = 0.0;
         for (channel, laser) in self.lasers.iter().enumerate() {
-            // The second head fires with the first.
-            if channel < RECORDS {
-                let time_ns =
-                    time_ns + i64::from(config.spec.channel_offset_ns(channel, draft.mode));
-                shots[channel] = (time_ns, config.azimuth_rad(time_ns));
+            let time_ns = time_ns + i64::from(config.spec.channel_offset_ns(channel, draft.mode));
+            if time_ns != shot_ns {
+                shot_ns = time_ns;
+                head_rad = config.azimuth_rad(time_ns);
             }
-            let (time_ns, head_rad) = shots[channel % RECORDS];
             let aim = laser.aimed(head_rad);
             let guess_m = draft.met_m[channel];
             let shot = Shot {

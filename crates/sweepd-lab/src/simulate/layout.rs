@@ -13,7 +13,7 @@
 use std::ops::Range;
 
 use sweepd_core::sensor::model::Spec;
-use sweepd_core::wire::data::{DataPacket, FLAG_BANK_0, FLAG_BANK_1, RECORDS, ReturnMode};
+use sweepd_core::wire::data::{DataPacket, RECORDS, ReturnMode};
 
 /// The places of a packet.
 #[derive(Clone, Copy, Debug)]
@@ -30,11 +30,7 @@ impl Layout {
 
     /// Sets the bank marker of each block.
     pub fn mark(&self, packet: &mut DataPacket) {
-        for (index, block) in packet.blocks.iter_mut().enumerate() {
-            block
-                .flag
-                .set([FLAG_BANK_0, FLAG_BANK_1][index % self.spec.banks()]);
-        }
+        self.spec.mark_banks(packet, self.mode);
     }
 
     /// Whether a firing is the first of its blocks, and so the one whose azimuth they say.
@@ -44,7 +40,7 @@ impl Layout {
 
     /// The blocks that a firing is in.
     pub fn blocks(&self, firing: usize) -> Range<usize> {
-        let blocks = self.spec.blocks_per_azimuth(self.mode);
+        let blocks = self.spec.places(self.mode).blocks;
         let first = firing / self.spec.firings_per_azimuth() * blocks;
         first..first + blocks
     }
@@ -52,10 +48,12 @@ impl Layout {
     /// Block and record of a return: number 0 is the only or the last one, 1 the strongest or
     /// second strongest.
     pub fn place(&self, firing: usize, channel: usize, number: usize) -> (usize, usize) {
-        let banks = self.spec.banks();
-        let swaps = banks > 1 && self.mode == ReturnMode::Dual;
-        let pair = if swaps { 1 - number } else { number };
-        let block = self.blocks(firing).start + pair * banks + channel / RECORDS;
+        let places = self.spec.places(self.mode);
+        let swaps = self.spec.banks() > 1 && self.mode == ReturnMode::Dual;
+        let number = if swaps { 1 - number } else { number };
+        let block = self.blocks(firing).start
+            + number * places.return_step
+            + channel / RECORDS * places.bank_step;
         (
             block,
             firing % self.spec.firings_per_azimuth() * self.spec.channels + channel % RECORDS,

@@ -34,7 +34,7 @@ impl Schedule {
             self.next_ns = config.first_shot_ns(ordinal);
         }
         let mut starts_ns = [0; BLOCKS];
-        for start_ns in &mut starts_ns[..config.spec.azimuths_per_packet(mode)] {
+        for start_ns in &mut starts_ns[..config.spec.places(mode).azimuths] {
             while config
                 .fov
                 .is_some_and(|fov| !fov.has(config.azimuth_rad(self.next_ns), self.next_ns))

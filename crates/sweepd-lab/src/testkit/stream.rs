@@ -9,9 +9,7 @@ use sweepd_core::sensor::{Beam, Calibration, Model};
 use sweepd_core::sweep::buffers::HeapBuffer;
 use sweepd_core::sweep::{HeapBuffers, Memory, SweepRef};
 use sweepd_core::wire::Datagram;
-use sweepd_core::wire::data::{
-    BLOCKS, Banks, DataPacket, FLAG_BANK_1, RECORDS, Record, ReturnMode,
-};
+use sweepd_core::wire::data::{BLOCKS, Banks, DataPacket, RECORDS, Record, ReturnMode};
 
 /// Arrival of a packet whose last shot is at sensor time 0.
 pub const START_NS: i64 = 1_777_888_800_000_000_000;
@@ -85,19 +83,12 @@ impl Spin {
     /// The packets that the sensor sends in this many seconds.
     pub fn packets(&self, seconds: f64) -> Vec<Sent> {
         let spec = self.model.spec();
-        let copies = spec.blocks_per_azimuth(self.mode);
+        let places = spec.places(self.mode);
         let block_ns = i64::from(spec.azimuth_period_ns(self.mode));
         let mut rng = fastrand::Rng::with_seed(self.seed);
         let mut sent: Vec<Sent> = Vec::new();
         let mut packet = DataPacket::new(0, self.mode.byte(), spec.product.unwrap_or_default());
-        if spec.banks() == 2 {
-            packet
-                .blocks
-                .iter_mut()
-                .skip(1)
-                .step_by(2)
-                .for_each(|block| block.flag.set(FLAG_BANK_1));
-        }
+        spec.mark_banks(&mut packet, self.mode);
         let mut firings = Vec::new();
         let mut blocks = 0;
         for time_ns in (0..(seconds * 1e9) as i64).step_by(block_ns as usize) {
@@ -112,7 +103,7 @@ impl Spin {
             let told = (cdeg + self.jitter_cdeg * (2.0 * rng.f64() - 1.0))
                 .rem_euclid(TURN)
                 .round() as u16;
-            for block in &mut packet.blocks[blocks..blocks + copies] {
+            for block in &mut packet.blocks[blocks..blocks + places.blocks] {
                 block.set_azimuth_cdeg(told);
                 block.records = std::array::from_fn(|_| record(&mut rng));
             }
@@ -120,8 +111,8 @@ impl Spin {
                 let time_ns = time_ns + firing as i64 * i64::from(spec.firing_period_ns(self.mode));
                 firings.push((time_ns, self.azimuth_cdeg(time_ns)));
             }
-            blocks += copies;
-            if blocks == BLOCKS {
+            blocks += places.blocks;
+            if blocks == places.blocks * places.azimuths {
                 if spec.stamp == Stamp::Output {
                     packet.set_stamp_us(stamp_us(time_ns + block_ns));
                 }

@@ -53,7 +53,7 @@ impl Stream {
             let mut packet = DataPacket::new(stamp_us as u32, 0x37, 0x22);
             for (index, blocks) in packet
                 .blocks
-                .chunks_mut(self.spec.blocks_per_azimuth(self.mode))
+                .chunks_mut(self.spec.places(self.mode).blocks)
                 .enumerate()
             {
                 let turned = rate_cdeg_us * (begun_us + azimuth_us * index as f64)

@@ -3,7 +3,7 @@
 use super::timing::banks_of;
 use crate::sensor::Model;
 use crate::sensor::model::Spec;
-use crate::wire::data::{DataPacket, ReturnMode};
+use crate::wire::data::{BLOCKS, DataPacket, ReturnMode};
 
 /// The model of a stream, the evidence for it, and the content of its packets.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,7 +25,7 @@ const TELLING_STEP_CDEG: i32 = 4;
 /// Whether a packet of an HDL-64E holds two returns; `None` if its azimuths do not show it.
 pub(super) fn says_two_returns(packet: &DataPacket) -> Option<bool> {
     const BLOCKS_OF_TWO: usize = 4;
-    if !packet.azimuths_in_groups(BLOCKS_OF_TWO) {
+    if !packet.azimuths_in_groups(BLOCKS_OF_TWO, BLOCKS / BLOCKS_OF_TWO) {
         return Some(false);
     }
     let first = i32::from(packet.blocks[0].azimuth_cdeg());

@@ -176,7 +176,7 @@ fn dual_blocks_come_in_pairs_and_the_even_one_is_never_nearer_than_the_last() {
     config.optics.noise_m = 0.0;
     let (mut differ, mut nearer, mut equal) = (0, 0, 0);
     for (packet, _) in data(config, &street(3)) {
-        assert!(packet.azimuths_in_groups(2));
+        assert!(packet.azimuths_in_groups(2, 6));
         for pair in packet.blocks.chunks_exact(2) {
             for (last, strong) in pair[0].records.iter().zip(&pair[1].records) {
                 // Zero in one is zero in both.
@@ -456,7 +456,7 @@ fn pairs_of_blocks_are_the_strongest_and_the_last() {
     config.optics.noise_m = 0.0;
     let (mut differ, mut equal) = (0, 0);
     for (packet, truth) in data(config, &street(3)) {
-        assert!(packet.azimuths_in_groups(4));
+        assert!(packet.azimuths_in_groups(4, 3));
         for (group, truths) in packet
             .blocks
             .chunks_exact(4)
