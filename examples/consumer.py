@@ -46,7 +46,8 @@ LAYOUT_VERSION = 3
 ALIGN = 64
 
 # Bits of header["flags"].
-PARTIAL, CIRCULAR, REVERSED, BLANKED, RATE_UNSTABLE, STOPPED, HEIGHT_ESTIMATED = (1 << bit for bit in range(7))
+(PARTIAL, CIRCULAR, REVERSED, BLANKED, RATE_UNSTABLE, STOPPED, HEIGHT_ESTIMATED,
+ LOSS_ESTIMATED) = (1 << bit for bit in range(8))
 # Labels; segments count from the last one on.
 LABEL_NONE, LABEL_GROUND, LABEL_FIRST_SEGMENT = 0, 1, 2
 # header["time_source"]

@@ -43,6 +43,7 @@ extern "C" {
 #define SWEEPD_RATE_UNSTABLE (1u << 4)    /* too slow, too fast, or changing */
 #define SWEEPD_STOPPED (1u << 5)          /* the head stands still */
 #define SWEEPD_HEIGHT_ESTIMATED (1u << 6) /* height_m was estimated, not configured */
+#define SWEEPD_LOSS_ESTIMATED (1u << 7)   /* lost_packets is an estimate */
 
 /* Labels of a pixel; segments count from the last one on. */
 #define SWEEPD_LABEL_NONE 0u
@@ -70,6 +71,8 @@ extern "C" {
 #define SWEEPD_MODEL_HDL32E 4u
 #define SWEEPD_MODEL_HDL64E_S2 5u
 #define SWEEPD_MODEL_HDL64E_S3 6u
+#define SWEEPD_MODEL_VLP32C 7u
+#define SWEEPD_MODEL_VLS128 8u
 
 /* sweepd_column.status */
 #define SWEEPD_COLUMN_MEASURED 1u

@@ -69,10 +69,15 @@ fn cure_model(error: &DetectError, dialect: Dialect) -> String {
         DetectError::Contradiction { timing, .. } => {
             format!("if it is one, give {} with {key}", timing.spec().flag)
         }
-        DetectError::Layout { heads: true, .. } => {
-            format!("leave {key} away, or give hdl64e-s2 or hdl64e-s3")
+        DetectError::Layout { banks, .. } => {
+            let fitting = Model::ALL
+                .into_iter()
+                .map(|model| model.spec())
+                .filter(|spec| banks.count() == Some(spec.banks()))
+                .map(|spec| spec.flag);
+            let flags = fitting.collect::<Vec<_>>().join(", ");
+            format!("leave {key} away, or give one of {flags}")
         }
-        DetectError::Layout { .. } => format!("leave {key} away"),
         DetectError::UnknownPeriod { .. } => format!(
             "{key} cannot help: is this another sensor, two sensors behind one address, or a capture with most packets \
              lost?"

@@ -18,19 +18,9 @@ use sweepd_core::sensor::{Calibration, Model};
 use sweepd_core::sweep::layout::ReturnChoice;
 use sweepd_core::wire::{DATA_PORT, POSITION_PORT};
 
-/// Velodynes whose packets are recognised but refused.
-const NOT_YET: [&str; 4] = ["vlp32", "vls128", "ultrapuck", "alphaprime"];
-
 /// A model, by its flag or its name.
 pub(super) fn model(text: &str) -> Result<Model, String> {
     text.parse().map_err(|error: UnknownModel| {
-        let word: String = text.chars().filter(char::is_ascii_alphanumeric).collect();
-        if NOT_YET
-            .iter()
-            .any(|name| word.to_ascii_lowercase().starts_with(name))
-        {
-            return format!("sweepd does not read the {text} yet: {error}");
-        }
         match nearest(
             &text.to_ascii_lowercase(),
             Model::ALL.iter().map(|model| model.spec().flag),

@@ -388,6 +388,11 @@ impl Control {
                     watcher.unhindered();
                     info!("{name}: calibrated by its own packets, the first {packets} of them");
                 }
+                Event::Notice(Notice::MistakenUnit { found_m, used_m }) => warn!(
+                    "{name}: its calibration file says that a unit of distance is {} mm: {} mm is used, as the sensor has it",
+                    found_m * 1e3,
+                    used_m * 1e3
+                ),
                 Event::Notice(Notice::OtherCalibration { .. })
                     if self.config.sensors[index].pipeline.calibration.is_none() =>
                 {

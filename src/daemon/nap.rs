@@ -27,8 +27,8 @@ const CATCH_UP_NS: i64 = 2_100_000;
 /// one by one.
 const WORTH_NS: i64 = 500_000;
 /// Number of sensors whose position packets are at most the data packets of the fastest model: an
-/// HDL-32E with two returns sends 720 a second, an HDL-64E S3 sends 5,787 data packets.
-const POSITIONS: i64 = 8;
+/// HDL-32E with two returns sends 720 a second, a VLS-128 with two sends 18,091 data packets.
+const POSITIONS: i64 = 25;
 
 /// Share of the time that a thread works, over the last seconds.
 #[derive(Clone, Copy, Debug)]
@@ -182,10 +182,10 @@ mod tests {
     #[test]
     fn naps_end_before_the_buffer_is_full_and_before_there_is_much_to_do() {
         let ample = ReceiveBuffer {
-            wanted_bytes: 6_670_080,
-            granted_bytes: 6_670_080,
+            wanted_bytes: 21_602_304,
+            granted_bytes: 21_602_304,
         };
-        // The default of Linux for a user: 184 packets, 31 ms of the fastest model.
+        // The default of Linux for a user: 184 packets, 9 ms of the fastest model.
         let small = ReceiveBuffer {
             granted_bytes: 425_984,
             ..ample
@@ -198,11 +198,11 @@ mod tests {
             [1, 8].map(|sensors| longest_ms(ample, sensors, &idle)),
             [100, 15]
         );
-        assert_eq!(longest_ms(small, 1, &idle), 7);
+        assert_eq!(longest_ms(small, 1, &idle), 2);
         // A tenth of the time: 2.1 ms of work gather in 21 ms.
         assert_eq!(longest_ms(ample, 1, &load(10)), 21);
         assert_eq!(longest_ms(ample, 1, &load(100)), 2);
-        // Position packets alone: 720 a second of each sensor, in a quarter of 2,895 or 184.
+        // Position packets alone: 720 a second of each sensor, in a quarter of 9,376 or 184.
         let positions_ms = |buffer, sensors| {
             let senders = Senders {
                 data: 0,
@@ -211,10 +211,10 @@ mod tests {
             longest_ns(LONGEST_OF_POSITIONS, buffer, senders, i64::MAX, &idle) / MS
         };
         assert_eq!(
-            [1, 8, 10].map(|sensors| positions_ms(ample, sensors)),
+            [1, 25, 31].map(|sensors| positions_ms(ample, sensors)),
             [250, 125, 100]
         );
-        assert_eq!([1, 3].map(|sensors| positions_ms(small, sensors)), [62, 20]);
+        assert_eq!([1, 3].map(|sensors| positions_ms(small, sensors)), [56, 18]);
     }
 
     #[test]

@@ -206,8 +206,14 @@ fn a_wrong_model_is_a_contradiction() {
     ran.says(&["the given model is HDL-32E", "1327 us", "give vlp16"]);
     let ran = replay(&fixture("street_hdl32e.pcap.gz"), &["--model", "vlp16"]);
     ran.says(&["the given model is VLP-16", "give hdl32e"]);
-    let ran = replay(&fixture("street_vlp16_losses.pcap"), &["--model", "vlp32c"]);
-    ran.says(&["'vlp32c'", "vlp16, puck-lite, puck-hires, hdl32e"]);
+    let ran = replay(&fixture("street_vlp16_losses.pcap"), &["--model", "vls128"]);
+    ran.says(&[
+        "the given model is VLS-128",
+        "one bank of lasers",
+        "leave --model away",
+    ]);
+    let ran = replay(&fixture("street_vlp16_losses.pcap"), &["--model", "vlp32a"]);
+    ran.says(&["'vlp32a'", "vlp16, puck-lite, puck-hires, hdl32e"]);
     assert_eq!(ran.code, 2);
 }
 
@@ -230,16 +236,18 @@ fn a_calibration_that_does_not_fit_is_refused() {
 
 #[test]
 #[cfg_attr(without_captures, ignore = "no captures")]
-fn real_captures_of_other_sensors_and_real_calibrations_of_others_are_refused() {
+fn real_calibrations_of_other_sensors_are_refused_and_a_wrong_unit_is_told() {
     let data = common::data_dir();
-    for (name, sensor) in [
-        ("vlp32c_nebula-fov180-a", "VLP-32C"),
-        ("vls128_nebula-a", "VLS-128"),
-    ] {
-        let path = data.join(format!("pcap/{name}.pcap"));
-        replay(&path, &[]).says(&[name, sensor]);
-        assert!(inspect(&path).done().contains(sensor));
-    }
+    let path = data.join("pcap/vls128_nebula-a.pcap");
+    let file = data.join("calib/rosdrivers_VLS128.yaml");
+    let ran = replay(&path, &["--calibration", file.to_str().unwrap()]);
+    assert_eq!(ran.code, 0, "{}", ran.stderr);
+    assert!(
+        ran.stderr
+            .contains("a unit of distance is 7 mm: 4 mm is used"),
+        "{}",
+        ran.stderr
+    );
     let path = data.join("pcap/vlp16_einride-a.pcap");
     replay(&path, &["--model", "hdl32e"]).says(&["the given model is HDL-32E", "VLP-16"]);
     for (file, beams) in [

@@ -312,8 +312,8 @@ fn a_slip_is_answered_with_what_was_meant() {
     for (args, answer) in [
         (&["replay", "a.pcap", "--loop", "3"][..], "--loop=3"),
         (
-            &["replay", "a.pcap", "--model", "vlp-32c"],
-            "does not read the vlp-32c yet",
+            &["replay", "a.pcap", "--model", "vlp-32a"],
+            "expected one of vlp16",
         ),
         (
             &["replay", "a.pcap", "--model", "vlp61"],

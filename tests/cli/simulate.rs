@@ -611,8 +611,8 @@ fn what_cannot_be_simulated_is_one_error_with_its_flag_and_the_cure() {
     let file = file.to_str().unwrap();
     let cases = [
         (
-            "--model=vls128",
-            "vlp16, puck-lite, puck-hires, hdl32e, hdl64e-s2, hdl64e-s3",
+            "--model=vlp32a",
+            "vlp16, puck-lite, puck-hires, hdl32e, hdl64e-s2, hdl64e-s3, vlp32c, vls128",
         ),
         ("--scene=moon", "street, parking-lot, field, room"),
         ("--rpm=299", "300 to 1200 turns a minute"),
@@ -625,11 +625,8 @@ fn what_cannot_be_simulated_is_one_error_with_its_flag_and_the_cure() {
         ("--gps=5..2", "locked, none, or FROM..TO"),
         ("--gps=never", "locked, none, or FROM..TO"),
         ("--rpm-drift=21", "0 to 20 percent"),
-        ("--firing-period=50", "48 or 57.6 microseconds"),
-        (
-            "--firing-period=48",
-            "the VLP-16 always fires every 55.296 us; only the HDL-64E S3 may differ",
-        ),
+        ("--firing-period=never", "microseconds, such as 48"),
+        ("--firing-period=48", "the VLP-16 fires every 55.3 us"),
         ("--loss=101", "0 to 100 percent"),
         ("--loss=-1", "0 to 100 percent"),
         ("--burst-loss=1x0", "such as 0.1x20"),
@@ -677,7 +674,7 @@ fn what_cannot_be_simulated_is_one_error_with_its_flag_and_the_cure() {
         file,
         "--firing-period=57.6",
     ];
-    sweepd(&args).says(&["--firing-period", "the HDL-64E S2 always fires every 48 us"]);
+    sweepd(&args).says(&["--firing-period", "the HDL-64E S2 fires every 48 us"]);
     let args = [
         "simulate",
         "--model=hdl64e-s3",

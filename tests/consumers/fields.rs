@@ -87,6 +87,7 @@ pub fn numbers() -> Vec<(&'static str, u64)> {
         ("RATE_UNSTABLE", flags::RATE_UNSTABLE.into()),
         ("STOPPED", flags::STOPPED.into()),
         ("HEIGHT_ESTIMATED", flags::HEIGHT_ESTIMATED.into()),
+        ("LOSS_ESTIMATED", flags::LOSS_ESTIMATED.into()),
         ("LABEL_NONE", layout::LABEL_NONE.into()),
         ("LABEL_GROUND", layout::LABEL_GROUND.into()),
         ("LABEL_FIRST_SEGMENT", layout::LABEL_FIRST_SEGMENT.into()),

@@ -177,7 +177,7 @@ fn a_second_sensor_at_one_address_is_reported_for_the_same_model_and_for_another
     drop((alike, unlike));
 }
 
-/// An HDL-32E with two returns sends more in a second and a half than the largest buffer holds.
+/// An HDL-32E with two returns sends more in three and a half seconds than the largest buffer holds.
 #[test]
 fn losses_by_this_hosts_kernel_have_this_host_as_their_cause() {
     let (daemon, [port]) = daemon([106]);
@@ -186,7 +186,7 @@ fn losses_by_this_hosts_kernel_have_this_host_as_their_cause() {
         daemon.health().1["sensors"][0]["losses"]["percent"] == 0.0
     });
     daemon.signal("-STOP");
-    std::thread::sleep(Duration::from_millis(1_500));
+    std::thread::sleep(Duration::from_millis(3_500));
     daemon.signal("-CONT");
     let told = until_told(&daemon, "this host's kernel dropped ");
     let cure = format!(

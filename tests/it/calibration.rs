@@ -22,7 +22,7 @@ fn read(dir: &Path, name: &str) -> Calibration {
 }
 
 /// Files of one model: whatever it is called, it fits that model and no other.
-const OF_A_MODEL: [(&str, Model); 7] = [
+const OF_A_MODEL: [(&str, Model); 10] = [
     ("rosdrivers_VLP16db.yaml", Model::Vlp16),
     ("veloview_VLP-16.xml", Model::Vlp16),
     ("rosdrivers_VLP16_hires_db.yaml", Model::PuckHiRes),
@@ -30,13 +30,9 @@ const OF_A_MODEL: [(&str, Model); 7] = [
     ("rosdrivers_32db.yaml", Model::Hdl32e),
     ("hdl32e_32db.xml", Model::Hdl32e),
     ("veloview_HDL-32.xml", Model::Hdl32e),
-];
-
-/// Files of sensors that are read but belong to no supported model, with their numbers of beams.
-const OF_OTHERS: [(&str, usize); 3] = [
-    ("rosdrivers_VLS128.yaml", 128),
-    ("rosdrivers_VeloView-VLP-32C.yaml", 32),
-    ("veloview_VLP-32c.xml", 32),
+    ("rosdrivers_VeloView-VLP-32C.yaml", Model::Vlp32c),
+    ("veloview_VLP-32c.xml", Model::Vlp32c),
+    ("rosdrivers_VLS128.yaml", Model::Vls128),
 ];
 
 /// Puck LITE is a VLP-16 to a calibration.
@@ -60,11 +56,8 @@ fn every_real_file_is_in_the_tables_above() {
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
         .collect();
     files.sort();
-    let models = OF_A_MODEL
-        .iter()
-        .map(|row| row.0)
-        .chain(common::HDL64E_UNITS);
-    let mut listed: Vec<&str> = models.chain(OF_OTHERS.iter().map(|row| row.0)).collect();
+    let models = OF_A_MODEL.iter().map(|row| row.0);
+    let mut listed: Vec<&str> = models.chain(common::HDL64E_UNITS).collect();
     listed.sort_unstable();
     assert_eq!(files, listed);
 }
@@ -91,8 +84,15 @@ fn files_of_a_model_fit_it_and_no_other() {
                         "{name}: beam {} is {apart} degrees off",
                         beam.channel
                     );
+                    let turned = (beam.rotation_rad - nominal.rotation_rad).to_degrees();
+                    assert!(turned.abs() < 0.005, "{name}: beam {}", beam.channel);
                     assert_eq!((beam.two_point, beam.intensity), (None, None), "{name}");
                 }
+                assert_eq!(
+                    fitted.distance_unit_m(),
+                    model.spec().distance_unit_m,
+                    "{name}"
+                );
             } else {
                 let error = fitted.unwrap_err();
                 assert!(
@@ -110,17 +110,14 @@ fn files_of_a_model_fit_it_and_no_other() {
 
 #[test]
 #[cfg_attr(without_captures, ignore = "no captures")]
-fn files_of_other_sensors_are_read_and_fit_no_model() {
+fn the_wrong_unit_of_a_vls128_file_is_set_right_and_no_other() {
     let dir = data_dir();
-    for (name, beams) in OF_OTHERS {
+    for (name, model) in OF_A_MODEL {
         let calibration = read(&dir, name);
-        assert_eq!(calibration.beams().len(), beams, "{name}");
-        for model in Model::ALL {
-            let error = calibration.clone().for_model(model).unwrap_err();
-            assert!(
-                error.contains(&format!("the {model} ")) && !error.contains(';'),
-                "{name}: {error}"
-            );
+        let is_wrong = name == "rosdrivers_VLS128.yaml";
+        assert_eq!(calibration.has_mistaken_unit(model), is_wrong, "{name}");
+        if is_wrong {
+            assert_eq!(calibration.distance_unit_m(), 0.007);
         }
     }
 }

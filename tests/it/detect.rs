@@ -58,7 +58,6 @@ fn every_capture_is_detected_as_its_sensor() {
             spec: model.spec(),
         })
     };
-    let unsupported = |sensor| Err(DetectError::Unsupported { sensor });
     let (strongest, sure) = (ReturnMode::Strongest, Basis::BytesAndPeriod);
     let expected = [
         ("hdl32e_mrpt-sample", is(Model::Hdl32e, strongest, sure)),
@@ -88,8 +87,11 @@ fn every_capture_is_detected_as_its_sensor() {
             "vlp16_veloview-90deg-a",
             is(Model::Vlp16, strongest, Basis::Period),
         ),
-        ("vlp32c_nebula-fov180-a", unsupported("VLP-32C")),
-        ("vls128_nebula-a", unsupported("VLS-128")),
+        ("vlp32c_nebula-fov180-a", is(Model::Vlp32c, strongest, sure)),
+        (
+            "vls128_nebula-a",
+            is(Model::Vls128, strongest, Basis::FourBanks),
+        ),
     ];
     assert_eq!(
         std::fs::read_dir(&dir).unwrap().count(),

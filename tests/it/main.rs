@@ -29,3 +29,4 @@ mod sweeps;
 mod truth;
 mod velodyne_decoder;
 mod veloview;
+mod vlp32c_vls128;

@@ -291,20 +291,27 @@ fn azimuth_36000_begins_a_sweep() {
 #[test]
 #[cfg_attr(without_captures, ignore = "no captures")]
 fn models_that_are_not_supported_are_a_fault_and_no_sweep() {
-    let data = common::data_dir();
-    for (name, model) in [
-        ("vlp32c_nebula-fov180-a", "VLP-32C"),
-        ("vls128_nebula-a", "VLS-128"),
-    ] {
+    let scene = fixtures::scene();
+    // A VLP-32A or VLP-32B, and a VLS-128 with three returns.
+    for (product, name) in [(0x23, "VLP-32A"), (0xA1, "three returns")] {
+        let config = EmitterConfig::new(Model::Vlp16, ReturnMode::Strongest).turns(1.2);
         let mut runner = Runner::new(Config::default());
-        let fault = runner
-            .play(&data.join(format!("pcap/{name}.pcap")))
-            .expect_err(name);
+        let mut faults = Vec::new();
+        for mut one in Emitter::new(config, &scene).filter(|one| one.truth.is_some()) {
+            one.payload[1205] = product;
+            if product == 0xA1 {
+                one.payload[1204] = 0x3A;
+                for block in 0..12 {
+                    one.payload[100 * block + 1] = [0xEE, 0xDD, 0xCC, 0xBB][block / 3];
+                }
+            }
+            faults.extend(runner.push(&one.datagram()).err());
+        }
+        assert_eq!(faults.len(), 1, "{name}");
         assert!(
-            matches!(fault, Fault::Model(_)) && fault.to_string().contains(model),
-            "{fault}"
+            matches!(faults[0], Fault::Model(_)) && faults[0].to_string().contains(name),
+            "{faults:?}"
         );
-        assert!(runner.sweeps.is_empty());
         assert!(runner.end().is_ok() && runner.sweeps.is_empty());
     }
 }

@@ -32,7 +32,7 @@ use self::ring::{Consumer, Producer, ring};
 use super::write::Addressed;
 use crate::files::output::Existing;
 
-/// Capacity of a feed, bytes: 4.7 s of the fastest model. The memory is taken only when it is first
+/// Capacity of a feed, bytes: 4.7 s of an HDL-64E S3 with two returns, 1.4 s of such a VLS-128. The memory is taken only when it is first
 /// used.
 const FEED_BYTES: usize = 32 << 20;
 /// Polling period of the writing thread, which is also how long a datagram waits for earlier ones

@@ -20,13 +20,12 @@ pub const PARTS: usize = 4;
 /// scheduler lets a thread wait.
 const AMPLE_NS: u64 = 500_000_000;
 
-/// Packet period of the fastest supported model (an HDL-64E S3 with two returns), nanoseconds.
-/// Cached, since each nap of a port needs it.
+/// Packet period of the fastest supported model (a VLS-128 with two returns), nanoseconds. Cached,
+/// since each nap of a port needs it.
 static FASTEST_PERIOD_NS: LazyLock<u64> = LazyLock::new(|| {
-    let periods = Model::ALL.map(|model| {
-        [ReturnMode::Strongest, ReturnMode::Dual].map(|mode| model.spec().packet_period_ns(mode))
-    });
-    u64::from(periods.into_iter().flatten().min().unwrap_or(u32::MAX))
+    let specs = Model::ALL.into_iter().flat_map(|model| model.specs());
+    let periods = specs.map(|spec| spec.packet_period_ns(ReturnMode::Dual));
+    u64::from(periods.min().unwrap_or(u32::MAX))
 });
 
 /// Buffer that holds half a second of the fastest supported model, bytes as the kernel charges

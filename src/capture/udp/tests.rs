@@ -322,21 +322,21 @@ fn a_multicast_group_is_received_only_by_sources_that_joined_it() {
 
 #[test]
 fn the_buffer_holds_half_a_second_or_says_what_to_do() {
-    assert_eq!(ample_buffer_bytes(), 2894 * buffer::CHARGED_BYTES);
+    assert_eq!(ample_buffer_bytes(), 9376 * buffer::CHARGED_BYTES);
     let small = ReceiveBuffer {
         wanted_bytes: ample_buffer_bytes(),
         granted_bytes: 425_984,
     };
     assert_eq!(
         (small.packets(), small.fastest_ms(), small.rmem_max()),
-        (184, 31, 3_333_888)
+        (184, 9, 10_801_152)
     );
     let warning = small.warning(2368).unwrap();
     for part in [
         "port 2368",
         "425984 bytes",
-        "31 ms",
-        "sysctl -w net.core.rmem_max=3333888",
+        "9 ms",
+        "sysctl -w net.core.rmem_max=10801152",
         "/etc/sysctl.d/",
     ] {
         assert!(warning.contains(part), "{warning}");

@@ -187,6 +187,14 @@ fn explain_notice(notice: &Notice) -> (&'static str, String) {
                 format!("its own calibration{of}, is complete after {packets}: decoding begins");
             ("note", text)
         }
+        Notice::MistakenUnit { found_m, used_m } => {
+            let text = format!(
+                "--calibration says that a unit of distance is {} mm: {} mm is used, as the sensor has it",
+                found_m * 1e3,
+                used_m * 1e3
+            );
+            ("warning", text)
+        }
         Notice::OtherCalibration { differences } => {
             let differences = summarize(differences);
             let text = format!(

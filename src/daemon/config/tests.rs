@@ -748,7 +748,7 @@ fn memory_follows_from_the_model() {
     let unknown = memory::sweep_bytes(&of(""));
     assert_eq!(
         unknown,
-        sweep..=*memory::sweep_bytes(&of("model = \"hdl64e-s3\"\nreturns = \"dual\"")).end()
+        sweep..=*memory::sweep_bytes(&of("model = \"vls128\"\nreturns = \"dual\"")).end()
     );
     let s2 = memory::sweep_bytes(&of("model = \"hdl64e-s2\""));
     assert_eq!(s2.start(), s2.end(), "one return, always");

@@ -189,9 +189,13 @@ impl Builder {
             packets,
             travelled_cdeg,
             silence,
+            is_exact,
         } = before
         {
             self.lost += u64::from(packets);
+            if let Some(open) = &mut self.open {
+                open.lost_is_estimated |= !is_exact;
+            }
             let firings = packets as usize * spec.firings_per_packet(packet.mode);
             cursor.new_run |= travelled_cdeg.abs() >= TURN || firings >= COLUMNS_CAPACITY;
             match self.head.last_cdeg() {
@@ -516,6 +520,7 @@ impl Builder {
             (flags::BLANKED, open.blanked),
             (flags::STOPPED, open.stands_still()),
             (flags::RATE_UNSTABLE, unstable),
+            (flags::LOSS_ESTIMATED, open.lost_is_estimated),
         ]
         .into_iter()
         .map(|(flag, is_set)| if is_set { flag } else { 0 })

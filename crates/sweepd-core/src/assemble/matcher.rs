@@ -9,6 +9,7 @@
 //! clock, or a bit is wrong. A correction persists, so that the next packet decides. See
 //! [`MatchQuality`].
 
+use super::beat::{Beat, STAMP_SLACK_NS};
 use super::motion::{FiringTiming, Motion, Sector, TURN, ahead, shortest};
 use crate::sensor::model::{Spec, Stamp};
 use crate::wire::DataPacket;
@@ -16,9 +17,6 @@ use crate::wire::data::ReturnMode;
 
 /// A packet that looks back further than this comes from another clock.
 const LOOK_BACK_NS: i64 = 1_000_000_000;
-/// How far an interval may be from a whole number of periods: two truncated stamps, and drift over
-/// the interval.
-const STAMP_SLACK_NS: i64 = 3_000;
 /// How far the pulse per second may correct the sensor's clock, which drifts by up to 60 us a
 /// second, without this being a jump.
 const CORRECTION_NS: i64 = 100_000;
@@ -36,6 +34,11 @@ const NOISE_CDEG: f64 = 20.0;
 const FOLLOWING_CDEG: f64 = 300.0;
 /// Least width of a sector that is left out, hundredths of a degree.
 const LEAST_SECTOR_CDEG: f64 = 200.0;
+/// The same where the packets' beat does not tell a sector from loss, until it is seen twice.
+const LEAST_UNTOLD_CDEG: f64 = 1_000.0;
+/// How far the edges of a sector may move by themselves, firings: the head is anywhere between two
+/// when it comes there.
+const EDGE_FIRINGS: f64 = 2.5;
 /// How far the edges of a sector may be from where they were the turn before, hundredths of a
 /// degree.
 const SECTOR_SLACK_CDEG: f64 = 300.0;
@@ -86,6 +89,8 @@ pub enum PacketGap {
         travelled_cdeg: f64,
         /// The sector that the sensor left out in between.
         silence: Option<Sector>,
+        /// Whether the stamps tell how many exactly.
+        is_exact: bool,
     },
 }
 
@@ -154,8 +159,11 @@ impl GapMotion {
 #[derive(Debug)]
 pub struct PacketMatcher {
     spec: &'static Spec,
+    beat: Beat,
     /// The sector that the sensor leaves out every turn.
     sector: Option<Sector>,
+    /// What may have been a sector, or loss.
+    untold: Option<Sector>,
     /// Turning rate, a mean over about a quarter of a turn: that of one packet carries the
     /// encoder's noise.
     rate_cdeg_ns: Option<f64>,
@@ -166,7 +174,9 @@ impl PacketMatcher {
     pub fn new(spec: &'static Spec) -> Self {
         Self {
             spec,
+            beat: Beat::new(spec),
             sector: None,
+            untold: None,
             rate_cdeg_ns: None,
         }
     }
@@ -174,6 +184,7 @@ impl PacketMatcher {
     /// See [`PacketOrder::take_spec`](super::order::PacketOrder::take_spec).
     pub fn take_spec(&mut self, spec: &'static Spec) {
         self.spec = spec;
+        self.beat = Beat::new(spec);
     }
 
     /// The sector that the sensor leaves out every turn, once seen.
@@ -190,11 +201,17 @@ impl PacketMatcher {
         if interval <= 0 {
             return Relation::Behind;
         }
-        let period = i64::from(self.spec.packet_period_ns(last.mode));
+        let period = self.beat.period_ns(last.mode);
         let between = self.way(last, packet, interval - period);
+        // Clearly less than what a lost packet takes.
+        let loose_ns = if LOOSE_NS < period * 3 / 5 {
+            LOOSE_NS
+        } else {
+            period / 2
+        };
         match between.unfired_ns {
             // Not when all azimuths of one of them are wrong.
-            unfired if unfired.abs() <= LOOSE_NS && between.off_cdeg() < FOLLOWING_CDEG => {
+            unfired if unfired.abs() <= loose_ns && between.off_cdeg() < FOLLOWING_CDEG => {
                 Relation::Follows(PacketGap::None, between.fit(unfired, period))
             }
             unfired if unfired < 0 => Relation::Unrelated,
@@ -212,7 +229,7 @@ impl PacketMatcher {
         // The silence inside a packet was estimated. If the estimate gives a wrong time for the
         // near end of that packet, the azimuths show how long ago the one before ended.
         let estimated = match self.spec.stamp {
-            Stamp::FirstShot => &last.motion,
+            Stamp::FirstShot | Stamp::FourthBurst => &last.motion,
             Stamp::Output => &packet.motion,
         };
         if estimated.left_out.is_some() && rate != 0.0 {
@@ -240,8 +257,7 @@ impl PacketMatcher {
         {
             return;
         }
-        let beyond_ns =
-            packet.time_ns - last.time_ns - i64::from(self.spec.packet_period_ns(last.mode));
+        let beyond_ns = packet.time_ns - last.time_ns - self.beat.period_ns(last.mode);
         let too_early_ns =
             self.way(last, packet, beyond_ns).unfired_ns - (beyond_ns - last.motion.silent_ns);
         packet.time_ns += too_early_ns;
@@ -270,36 +286,74 @@ impl PacketMatcher {
         if !trusted {
             return Relation::Unrelated;
         }
-        let period = i64::from(self.spec.packet_period_ns(last.mode));
+        let period = self.beat.period_ns(last.mode);
         let (passed, silence_ns) = self.silence(between, last.mode);
         let lost = (unfired_ns - silence_ns + period / 2).div_euclid(period);
         let off_beat = (unfired_ns - silence_ns - lost * period).abs();
         let block_ns = i64::from(self.spec.azimuth_period_ns(last.mode));
-        if passed > 0 && off_beat <= SILENCE_SLACK.1 * block_ns * passed {
+        let is_random = self.beat.is_random(last.mode);
+        if passed > 0 && is_random {
             return Relation::Follows(
-                lost_or(PacketGap::Blanked, lost, travelled_cdeg, self.sector),
+                self.gap_with_sector(between, passed, last.mode),
                 MatchQuality::Exact,
             );
         }
-        let slack = STAMP_SLACK_NS + unfired_ns / 50_000;
+        if passed > 0 && off_beat <= SILENCE_SLACK.1 * block_ns * passed {
+            return Relation::Follows(
+                lost_or(PacketGap::Blanked, lost, travelled_cdeg, self.sector, true),
+                MatchQuality::Exact,
+            );
+        }
+        let is_sector =
+            (LEAST_SECTOR_CDEG..TURN - LEAST_SECTOR_CDEG).contains(&travelled_cdeg.abs());
+        let is_untold = is_random && is_sector && travelled_cdeg.abs() >= LEAST_UNTOLD_CDEG;
+        if is_untold && in_place && self.is_seen_before(between) {
+            return Relation::Follows(PacketGap::Blanked, MatchQuality::Exact);
+        }
+        let slack = self.beat.slack_ns(unfired_ns, last.mode);
         let fit = between.fit(off_beat, period);
         if off_beat <= slack {
-            return Relation::Follows(lost_or(PacketGap::None, lost, travelled_cdeg, None), fit);
+            let is_exact = !is_untold && self.beat.counts(unfired_ns, last.mode);
+            let gap = lost_or(PacketGap::None, lost, travelled_cdeg, None, is_exact);
+            return Relation::Follows(gap, fit);
         }
-        // Silence that began exactly between two packets: a whole number of blocks, and not of
-        // packets.
+        // Silence that began exactly between two packets: a whole number of blocks where the lasers
+        // keep their period, and not of packets.
         let blocks = (unfired_ns + block_ns / 2).div_euclid(block_ns);
-        let on_block = (unfired_ns - blocks * block_ns).abs() <= slack;
-        if in_place
-            && on_block
-            && (LEAST_SECTOR_CDEG..TURN - LEAST_SECTOR_CDEG).contains(&travelled_cdeg.abs())
-        {
+        let on_block = is_random || (unfired_ns - blocks * block_ns).abs() <= slack;
+        if in_place && on_block && is_sector {
             return Relation::Follows(PacketGap::Blanked, MatchQuality::Exact);
         }
         if off_beat <= LOOSE_NS && in_place && on_time(last, packet) {
-            return Relation::Follows(lost_or(PacketGap::None, lost, travelled_cdeg, None), fit);
+            let gap = lost_or(PacketGap::None, lost, travelled_cdeg, None, !is_random);
+            return Relation::Follows(gap, fit);
         }
         Relation::Unrelated
+    }
+
+    /// A gap over the sector, of a sensor without a steady period: azimuths tell better than stamps
+    /// what is missing beside it.
+    fn gap_with_sector(&self, between: &GapMotion, passed: i64, mode: ReturnMode) -> PacketGap {
+        let width_cdeg = self.sector.map_or(0.0, |sector| sector.width_cdeg) * passed as f64;
+        let beside_cdeg = between.travelled_cdeg.abs() - width_cdeg;
+        let firing_cdeg = between.rate_cdeg_ns.abs() * f64::from(self.spec.firing_period_ns(mode));
+        let packet_cdeg = firing_cdeg * self.spec.firings_per_packet(mode) as f64;
+        let edge_cdeg = EDGE_FIRINGS * firing_cdeg * passed as f64;
+        let lost = if beside_cdeg > edge_cdeg {
+            (beside_cdeg / packet_cdeg).round().max(1.0) as i64
+        } else {
+            0
+        };
+        let travelled_cdeg = between.travelled_cdeg;
+        lost_or(PacketGap::Blanked, lost, travelled_cdeg, self.sector, false)
+    }
+
+    /// Whether there was such a gap the turn before: then it is no loss.
+    fn is_seen_before(&self, between: &GapMotion) -> bool {
+        self.untold.is_some_and(|seen| {
+            shortest(seen.from_cdeg - between.from_cdeg).abs() < SECTOR_SLACK_CDEG
+                && (seen.width_cdeg - between.travelled_cdeg.abs()).abs() < SECTOR_SLACK_CDEG
+        })
     }
 
     /// How often the head passed the sector that is left out, and how long it was silent.
@@ -361,6 +415,7 @@ impl PacketMatcher {
     ) {
         if before == PacketGap::Start {
             self.sector = None;
+            self.untold = None;
             // A change of the return mode does not change the turning rate.
             self.rate_cdeg_ns = self
                 .rate_cdeg_ns
@@ -370,6 +425,26 @@ impl PacketMatcher {
         if let Some(last) = last.filter(|_| matches!(before, PacketGap::None | PacketGap::Blanked))
         {
             self.learn_rate(last, packet, before);
+        }
+        if let Some(last) = last
+            && before == PacketGap::None
+            && last.motion.left_out.is_none()
+        {
+            self.beat.note(packet.time_ns - last.time_ns, packet.mode);
+        }
+        if let (
+            Some(last),
+            PacketGap::Lost {
+                travelled_cdeg,
+                is_exact: false,
+                ..
+            },
+        ) = (last, before)
+        {
+            self.untold = Some(Sector {
+                from_cdeg: last.motion.next_cdeg(),
+                width_cdeg: travelled_cdeg.abs(),
+            });
         }
         if let Some((_, sector)) = motion.left_out {
             self.sector = Some(sector);
@@ -420,12 +495,14 @@ fn lost_or(
     lost: i64,
     travelled_cdeg: f64,
     silence: Option<Sector>,
+    is_exact: bool,
 ) -> PacketGap {
     match u32::try_from(lost) {
         Ok(packets) if packets > 0 => PacketGap::Lost {
             packets,
             travelled_cdeg,
             silence,
+            is_exact,
         },
         _ => nothing,
     }

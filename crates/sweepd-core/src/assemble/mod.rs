@@ -12,6 +12,7 @@
 //!                                                        decode, lanes  records to pixels, sixteen beams at once
 //! ```
 
+mod beat;
 pub mod builder;
 pub mod clock;
 mod cursor;

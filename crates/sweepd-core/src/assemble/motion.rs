@@ -53,12 +53,17 @@ impl Sector {
     }
 
     /// Nanoseconds of silence when the head crosses the sector at a rate. The lasers keep their
-    /// period during the silence (measured on a VLP-32C), so that it is a whole number of blocks.
+    /// period during the silence (measured on a VLP-32C), so that it is a whole number of blocks;
+    /// not where they rest for a random time after each firing.
     pub fn silent_ns(&self, rate_cdeg_ns: f64, spec: &Spec, mode: ReturnMode) -> i64 {
         let block_ns = spec.azimuth_period_ns(mode);
         let blocks =
             self.width_cdeg / (rate_cdeg_ns.abs() * f64::from(block_ns)).max(f64::MIN_POSITIVE);
-        blocks.min(1e6).round() as i64 * i64::from(block_ns)
+        let blocks = blocks.min(1e6);
+        if spec.firing_deviation_ns(mode) > 0.0 {
+            return (blocks * f64::from(block_ns)) as i64;
+        }
+        blocks.round() as i64 * i64::from(block_ns)
     }
 }
 
@@ -121,7 +126,7 @@ pub struct Motion {
     azimuths: [u16; BLOCKS],
     count: usize,
     /// From one azimuth to the next, hundredths of a degree, negative when the head turns the other
-    /// way.
+    /// way; 0 for a packet with one azimuth until [`Motion::steady`] is called.
     pub step_cdeg: f64,
     /// The step by the packets before, without encoder noise; see [`Motion::steady`].
     steady_step_cdeg: Option<f64>,
@@ -198,9 +203,13 @@ impl Motion {
 
     /// Sets the turning rate of the packets before, hundredths of a degree a nanosecond. It is used
     /// unless the azimuths of this packet contradict it: they carry encoder noise, and there may be
-    /// only three.
+    /// only three, or one, which says nothing.
     pub fn steady(&mut self, rate_cdeg_ns: f64, spec: &Spec) {
         let step_cdeg = rate_cdeg_ns * f64::from(spec.azimuth_period_ns(self.mode));
+        if self.count == 1 {
+            self.step_cdeg = step_cdeg;
+            return;
+        }
         let noise_cdeg = STEP_NOISE_CDEG / (self.count - 1) as f64;
         let agrees =
             (step_cdeg - self.step_cdeg).abs() < noise_cdeg + STEADY_SHARE * step_cdeg.abs();
@@ -317,8 +326,12 @@ impl Steps {
         let least = steps.iter().copied().fold(f64::MAX, f64::min);
         let most = steps.iter().copied().fold(f64::MIN, f64::max);
         // If all steps are alike, none is a break, whichever is the median.
-        let is_even = most - least <= BEND_CDEG;
-        let median = if is_even { steps[0] } else { median(steps) };
+        let is_even = steps.len() < 2 || most - least <= BEND_CDEG;
+        let median = match steps {
+            [] => 0.0,
+            [first, ..] if is_even => *first,
+            _ => median(steps),
+        };
         let mut sum = 0.0;
         let mut kept = 0;
         let mut break_at = None;

@@ -39,6 +39,8 @@ pub struct OpenSweep {
     pub blanked: bool,
     pub packets: u32,
     pub lost: u32,
+    /// The stamps do not tell exactly how many were lost.
+    pub lost_is_estimated: bool,
     pub missing: u32,
     pub returns: u32,
     pub newest_arrival_ns: i64,
@@ -77,6 +79,7 @@ impl OpenSweep {
             blanked: false,
             packets: 0,
             lost: 0,
+            lost_is_estimated: false,
             missing: 0,
             returns: 0,
             newest_arrival_ns: i64::MIN,

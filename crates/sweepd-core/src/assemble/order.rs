@@ -250,7 +250,7 @@ impl PacketOrder {
         if before.is_none() && !is_overtaken {
             return false;
         }
-        let is_end_unknown = self.spec.stamp == Stamp::FirstShot;
+        let is_end_unknown = self.spec.stamp != Stamp::Output;
         if before == Some(PacketGap::None) && is_end_unknown && doubtful.motion.left_out.is_some() {
             // Now the silence is known exactly.
             let period = i64::from(self.spec.packet_period_ns(packet.mode));

@@ -12,7 +12,7 @@ use crate::sensor::unit::{Unit, UnitUpdate};
 use crate::sensor::{Calibration, Model};
 use crate::sweep::buffers::OpenBuffer;
 use crate::wire::DataPacket;
-use crate::wire::data::{Banks, ReturnMode};
+use crate::wire::data::ReturnMode;
 use crate::wire::hdl64::Series;
 
 /// The open sweep of a sensor that is silent for longer is closed as it is.
@@ -115,10 +115,12 @@ impl Decoding {
             arrival_ns,
         } = *packet;
         let counts = &mut events.counts;
-        if matches!(bytes.banks(), Banks::UpperHeavy | Banks::Other) {
+        if bytes.banks().count().is_none() {
             counts.malformed += 1;
             return;
         }
+        let without_confidence = bytes.without_confidence();
+        let bytes = without_confidence.as_ref().unwrap_or(bytes);
         let is_detected = setup.config.model.is_none();
         let has_product = self.detection.spec.product.is_some() && is_detected;
         let is_foreign =
@@ -164,7 +166,8 @@ impl Decoding {
         let is_change = self.last_mode == ReturnMode::Dual && mode != ReturnMode::Dual;
         let before_us = self.unmeasured_us.take();
         let specs = self.detection.model.specs();
-        if mode == ReturnMode::Dual || specs.len() < 2 || !(is_change || before_us.is_some()) {
+        let may_change = self.detection.model.is_hdl64e() && specs.len() > 1;
+        if mode == ReturnMode::Dual || !may_change || !(is_change || before_us.is_some()) {
             return;
         }
         let stamp_us = packet.stamp_us();

@@ -105,6 +105,14 @@ pub enum Notice {
         /// Data packets that came before.
         packets: u64,
     },
+    /// The calibration that was given has a unit of distance that its model does not have; that of
+    /// the model is used.
+    MistakenUnit {
+        /// The unit in the file, metres.
+        found_m: f64,
+        /// The one in use, metres.
+        used_m: f64,
+    },
     /// The calibration in use is not the one that the unit sends.
     OtherCalibration {
         /// In what they differ, by beam: the one in use, the unit's own.

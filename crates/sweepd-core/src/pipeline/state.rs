@@ -95,7 +95,16 @@ impl State {
         };
         // All of them, unless decoding begins with those that wait.
         events.counts.undecoded += detecting.packets();
-        match detecting.identify(result?, &setup.config)? {
+        let detection = result?;
+        if let Some(given) = &setup.config.calibration
+            && given.has_mistaken_unit(detection.model)
+        {
+            events.notices.push(Notice::MistakenUnit {
+                found_m: given.distance_unit_m(),
+                used_m: detection.spec.distance_unit_m,
+            });
+        }
+        match detecting.identify(detection, &setup.config)? {
             Identity::AwaitsCalibration(calibrating) => {
                 events.notices.push(Notice::AwaitsCalibration);
                 *self = State::Calibrating(calibrating);

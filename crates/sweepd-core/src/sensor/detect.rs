@@ -3,9 +3,10 @@
 //! The factory bytes alone mislead: they are blank on old firmware, and early VLP-16 firmware sends
 //! the product byte of an HDL-32E. The packet period by the sensor clock is reliable: it follows
 //! from the firing order and is exact to the microsecond resolution of the stamps. So the first few
-//! packets of a stream decide, and the caller keeps them until then. An HDL-64E has no product byte
-//! (a status byte in its place may have any value), but its blocks alternate between two heads,
-//! which is checked first.
+//! packets of a stream decide, and the caller keeps them until then. Where the period leaves a
+//! doubt, as between a VLP-32C and a VLP-16 with two returns, the turn of the head decides. An
+//! HDL-64E has no product byte (a status byte in its place may have any value), but its blocks
+//! alternate between two heads, and those of a VLS-128 have four banks: which is checked first.
 //!
 //! ```
 //! use sweepd_core::sensor::Model;
@@ -22,6 +23,7 @@
 mod detection;
 mod error;
 mod timing;
+mod turn;
 
 pub use detection::{Basis, Detection};
 pub use error::DetectError;
@@ -29,11 +31,12 @@ pub(crate) use timing::is_next;
 
 use std::cmp::Ordering;
 
-use timing::{fits, fits_once, since, timing_of, timings};
+use timing::{ModelTiming, fits, fits_once, since, timing_of, timings};
+use turn::Turn;
 
 use super::Model;
 use super::model::Spec;
-use crate::wire::data::{BLOCKS, Banks, DataPacket, ReturnMode};
+use crate::wire::data::{BLOCKS, Banks, DUAL_WITH_CONFIDENCE, DataPacket, ReturnMode, TRIPLE};
 
 /// Packets after which [`Detector::observe`] has always decided.
 pub const MAX_PACKETS: usize = 12;
@@ -41,13 +44,10 @@ pub const MAX_PACKETS: usize = 12;
 /// Intervals that must agree before the last packet.
 const ENOUGH: usize = 2;
 /// Product bytes of sensors that use this protocol and are not supported.
-const UNSUPPORTED: [(u8, &str); 5] = [
-    (0x23, "VLP-32A or VLP-32B"),
-    (0x28, "VLP-32C"),
-    (0x31, "Velarray"),
-    (0x63, "VLS-128"), // by the manual; real ones send 0xA1
-    (0xA1, "VLS-128"),
-];
+const UNSUPPORTED: [(u8, &str); 2] = [(0x23, "VLP-32A or VLP-32B"), (0x31, "Velarray")];
+/// The packet period of a VLS-128 is within this share of that of its most usual firmware, if
+/// nothing is lost.
+const NEAR_PERIOD: f64 = 0.08;
 
 /// Evidence of the azimuths for the return mode, for packets without a return mode byte: in how
 /// many packets of a turning head they are equal in pairs, and in how many all differ. Counted,
@@ -91,6 +91,7 @@ pub struct Detector {
     forced: Option<Model>,
     bytes: FactoryBytes,
     azimuths: Azimuths,
+    turn: Turn,
     /// Packets observed, also those whose stamps were dropped when the bytes changed.
     observed: usize,
     /// Stamps since the bytes last changed, microseconds after the first, before or after the hour.
@@ -113,6 +114,8 @@ struct Vote {
     return_mode: ReturnMode,
     /// Intervals that fit.
     fits: usize,
+    /// Intervals of one period.
+    fits_once: usize,
     /// The shortest of them, microseconds.
     interval_us: u32,
 }
@@ -128,6 +131,7 @@ impl Detector {
                 product: 0,
             },
             azimuths: Azimuths::default(),
+            turn: Turn::default(),
             observed: 0,
             stamps: [0; MAX_PACKETS],
             first_stamp: 0,
@@ -145,7 +149,13 @@ impl Detector {
         // The bank markers come first: the factory bytes of an HDL-64E are status bytes and may
         // equal any product.
         match packet.banks() {
-            Banks::Alternating => {}
+            Banks::Alternating | Banks::Four | Banks::FourTwice => {}
+            Banks::FourThrice if packet.return_mode == DUAL_WITH_CONFIDENCE => {}
+            Banks::FourThrice => {
+                return Some(Err(DetectError::Unsupported {
+                    sensor: many_returns(packet.return_mode),
+                }));
+            }
             Banks::UpperHeavy => {
                 return Some(Err(DetectError::Unsupported {
                     sensor: "HDL-64E S1",
@@ -153,7 +163,7 @@ impl Detector {
             }
             Banks::Other => {
                 return Some(Err(DetectError::Unsupported {
-                    sensor: many_banks(packet.product),
+                    sensor: "one whose lasers are in no known order",
                 }));
             }
             Banks::One => match model_of_product(packet.product) {
@@ -182,21 +192,27 @@ impl Detector {
     pub fn conclude(&self) -> Result<Detection, DetectError> {
         self.check_layout()?;
         let intervals = self.intervals();
+        if self.bytes.banks.count() == Some(4) {
+            return Ok(self.vls128(&intervals));
+        }
         if intervals.len < ENOUGH {
-            return self.without_period();
+            return self.without_period(&intervals);
         }
         let [best, next] = self.votes(&intervals);
         // A limited field of view makes one odd interval a turn, heavy loss makes many; by chance
         // one interval in a hundred fits.
-        if best.fits > next.fits && best.fits * 4 >= intervals.len {
+        if self.is_better(&best, &next) && best.fits * 4 >= intervals.len {
             return self.detection(best);
+        }
+        if let Some(vote) = self.by_turn(&intervals) {
+            return self.detection(vote);
         }
         match unsupported(self.bytes.product) {
             Some(sensor) => Err(DetectError::Unsupported { sensor }),
             None => Err(DetectError::UnknownPeriod {
                 median_us: intervals.median(),
                 mode: best.return_mode,
-                heads: self.has_heads(),
+                banks: self.bytes.banks,
             }),
         }
     }
@@ -207,10 +223,10 @@ impl Detector {
 
     /// Checks that the blocks have the layout of the model that the user gave.
     fn check_layout(&self) -> Result<(), DetectError> {
-        let heads = self.has_heads();
+        let banks = self.bytes.banks;
         match self.forced {
-            Some(said) if self.len > 0 && said.is_hdl64e() != heads => {
-                Err(DetectError::Layout { said, heads })
+            Some(said) if self.len > 0 && banks.count() != Some(said.spec().banks()) => {
+                Err(DetectError::Layout { said, banks })
             }
             _ => Ok(()),
         }
@@ -222,6 +238,7 @@ impl Detector {
             // The return mode was changed: periods before and after differ.
             self.bytes = bytes;
             self.azimuths = Azimuths::default();
+            self.turn = Turn::default();
             self.first_stamp = packet.stamp_us();
             self.len = 0;
         }
@@ -236,6 +253,9 @@ impl Detector {
             Some(false) => self.azimuths.single += 1,
             None => {}
         }
+        if self.bytes.banks == Banks::One {
+            self.turn.note(packet);
+        }
         self.stamps[self.len] = since(self.first_stamp, packet.stamp_us());
         self.len += 1;
         self.observed += 1;
@@ -244,7 +264,8 @@ impl Detector {
     fn decide_early(&self) -> Option<Result<Detection, DetectError>> {
         let intervals = self.intervals();
         let [best, next] = self.votes(&intervals);
-        let clear = best.fits >= ENOUGH && best.fits > next.fits && best.fits * 2 > intervals.len;
+        let clear =
+            best.fits >= ENOUGH && self.is_better(&best, &next) && best.fits * 2 > intervals.len;
         clear.then(|| self.check_layout().and_then(|()| self.detection(best)))
     }
 
@@ -269,42 +290,66 @@ impl Detector {
 
     /// The two best timings, the better one first.
     fn votes(&self, intervals: &Intervals) -> [Vote; 2] {
-        let [(model, spec), (other, other_spec)] = timings(self.bytes.banks);
-        let mut best = self.vote(model, spec, intervals);
-        let mut next = self.vote(other, other_spec, intervals);
-        if next.return_mode == ReturnMode::Dual
-            && best.return_mode == next.return_mode
-            && self.has_heads()
-        {
-            // With two returns there is only one timing.
-            next.fits = 0;
+        let mut votes = [self.no_vote(); 2];
+        for &timing in timings(self.bytes.banks) {
+            let mut vote = self.vote(timing, intervals);
+            let [best, next] = &mut votes;
+            if self.has_heads() && [best.return_mode, vote.return_mode] == [ReturnMode::Dual; 2] {
+                // With two returns there is only one timing.
+                vote.fits = 0;
+            }
+            if self.turn.contradicts(vote.timing, vote.fits) {
+                // Loss can make any period of a shorter one.
+                vote.fits = 0;
+            }
+            if self.is_better(&vote, best) {
+                (*next, *best) = (*best, vote);
+            } else if self.is_better(&vote, next) {
+                *next = vote;
+            }
         }
-        if next.fits > best.fits {
-            std::mem::swap(&mut best, &mut next);
+        votes
+    }
+
+    /// A timing that explains nothing.
+    fn no_vote(&self) -> Vote {
+        Vote {
+            timing: Model::Vlp16,
+            spec: Model::Vlp16.spec(),
+            return_mode: ReturnMode::Strongest,
+            fits: 0,
+            fits_once: 0,
+            interval_us: 0,
         }
-        [best, next]
+    }
+
+    /// Whether a timing explains the packets better than another one. Two packets of a VLP-32C, or
+    /// one and a lost one, take as long as one of a VLP-16: then the turn of the head decides, else
+    /// the product byte, else the fewer lost packets.
+    fn is_better(&self, one: &Vote, other: &Vote) -> bool {
+        let turn = self.turn.model();
+        let product = model_of_product(self.bytes.product).ok().flatten();
+        let weight = |vote: &Vote| {
+            (
+                vote.fits,
+                turn == Some(vote.timing),
+                product.map(timing_of) == Some(vote.timing),
+                vote.fits_once,
+            )
+        };
+        weight(one) > weight(other)
     }
 
     /// How well a timing explains the intervals, in the return mode that explains them best.
-    fn vote(&self, timing: Model, spec: &'static Spec, intervals: &Intervals) -> Vote {
+    fn vote(&self, (timing, spec): ModelTiming, intervals: &Intervals) -> Vote {
         // Strongest first: intervals that both explain are of consecutive packets in single mode,
         // not of every second packet in dual mode.
-        let Azimuths { paired, single } = self.azimuths;
-        let modes: &[ReturnMode] = match (
-            ReturnMode::from_byte(self.bytes.return_mode),
-            paired.cmp(&single),
-        ) {
-            (Some(ReturnMode::Strongest), _) | (None, Ordering::Less) => &[ReturnMode::Strongest],
-            (Some(ReturnMode::Last), _) => &[ReturnMode::Last],
-            (Some(ReturnMode::Dual), _) | (None, Ordering::Greater) => &[ReturnMode::Dual],
-            (None, Ordering::Equal) => &[ReturnMode::Strongest, ReturnMode::Dual],
-        };
+        let modes = self.modes();
         let mut best = Vote {
             timing,
             spec,
             return_mode: modes[0],
-            fits: 0,
-            interval_us: 0,
+            ..self.no_vote()
         };
         for &return_mode in modes {
             let period_ns = spec.packet_period_ns(return_mode);
@@ -321,11 +366,70 @@ impl Detector {
                     spec,
                     return_mode,
                     fits: count,
+                    fits_once: intervals
+                        .fitting(period_ns)
+                        .filter(|&us| fits_once(us, period_ns))
+                        .count(),
                     interval_us: intervals.fitting(period_ns).min().unwrap_or_default(),
                 };
             }
         }
         best
+    }
+
+    /// The return modes that the packets may have.
+    fn modes(&self) -> &'static [ReturnMode] {
+        let Azimuths { paired, single } = self.azimuths;
+        match (
+            ReturnMode::from_byte(self.bytes.return_mode),
+            paired.cmp(&single),
+        ) {
+            (Some(ReturnMode::Strongest), _) | (None, Ordering::Less) => &[ReturnMode::Strongest],
+            (Some(ReturnMode::Last), _) => &[ReturnMode::Last],
+            (Some(ReturnMode::Dual), _) | (None, Ordering::Greater) => &[ReturnMode::Dual],
+            (None, Ordering::Equal) => &[ReturnMode::Strongest, ReturnMode::Dual],
+        }
+    }
+
+    /// The timing that the turn of the head speaks for, whatever was lost.
+    fn by_turn(&self, intervals: &Intervals) -> Option<Vote> {
+        let timing = self.turn.model()?;
+        Some(Vote {
+            timing,
+            spec: timing.spec(),
+            return_mode: self.modes()[0],
+            interval_us: intervals.us().iter().copied().min()?,
+            ..self.no_vote()
+        })
+    }
+
+    /// The detection of a sensor with four banks. Which of three timings its firmware has, the mean
+    /// interval tells.
+    fn vls128(&self, intervals: &Intervals) -> Detection {
+        let model = Model::Vls128;
+        let return_mode = match self.bytes.banks {
+            Banks::Four => detection::of_one_return(self.bytes.return_mode),
+            _ => ReturnMode::Dual,
+        };
+        let usual_us = f64::from(model.spec().packet_period_ns(return_mode)) * 1e-3;
+        let near = (intervals.us().iter().map(|&us| f64::from(us)))
+            .filter(|us| (us / usual_us - 1.0).abs() < NEAR_PERIOD);
+        let count = near.clone().count();
+        let mean_us = near.sum::<f64>() / count as f64;
+        let off_us =
+            |spec: &&Spec| (f64::from(spec.packet_period_ns(return_mode)) * 1e-3 - mean_us).abs();
+        let nearest = (model.specs().iter().copied())
+            .filter(|_| count > 0)
+            .min_by(|one, other| off_us(one).total_cmp(&off_us(other)));
+        Detection {
+            model,
+            return_mode,
+            basis: match self.forced {
+                Some(_) => Basis::Given,
+                None => Basis::FourBanks,
+            },
+            spec: nearest.unwrap_or(model.spec()),
+        }
     }
 
     /// The detection of a stream whose period is known.
@@ -335,6 +439,11 @@ impl Detector {
         } else {
             vote.timing
         };
+        let basis = if vote.fits > 0 {
+            Basis::Period
+        } else {
+            Basis::Turn
+        };
         let (model, basis) = if let Some(model) = self.forced {
             (model, self.basis_of_given(model))
         } else if self.has_heads() {
@@ -342,9 +451,9 @@ impl Detector {
         } else {
             match model_of_product(self.bytes.product)? {
                 // Early VLP-16 firmware sends the product byte of an HDL-32E.
-                Some(Model::Hdl32e) if timing != Model::Hdl32e => (timing, Basis::Period),
+                Some(Model::Hdl32e) if timing == Model::Vlp16 => (timing, basis),
                 Some(model) => (model, Basis::BytesAndPeriod),
-                None => (timing, Basis::Period),
+                None => (timing, basis),
             }
         };
         // An S3 that reports one return may have the timing of an S2.
@@ -380,7 +489,10 @@ impl Detector {
     }
 
     /// The detection of a stream too short to measure its period.
-    fn without_period(&self) -> Result<Detection, DetectError> {
+    fn without_period(&self, intervals: &Intervals) -> Result<Detection, DetectError> {
+        if let Some(vote) = self.by_turn(intervals) {
+            return self.detection(vote);
+        }
         let (model, basis) = match self.forced {
             Some(model) => (model, self.basis_of_given(model)),
             None if self.len == 0 => return Err(DetectError::TooFewPackets { packets: 0 }),
@@ -433,7 +545,8 @@ impl Intervals {
     }
 }
 
-/// The model of a product byte; `None` if it is blank. A Puck LITE reports that of a VLP-16.
+/// The model of a product byte; `None` if it is blank. A Puck LITE reports that of a VLP-16. The
+/// manual gives a VLS-128 another byte than real ones send.
 fn model_of_product(product: u8) -> Result<Option<Model>, DetectError> {
     if product == 0 {
         return Ok(None);
@@ -441,10 +554,10 @@ fn model_of_product(product: u8) -> Result<Option<Model>, DetectError> {
     if let Some(sensor) = unsupported(product) {
         return Err(DetectError::Unsupported { sensor });
     }
-    match Model::ALL
-        .into_iter()
-        .find(|model| model.spec().product == Some(product))
-    {
+    const OF_MANUAL: u8 = 0x63;
+    match Model::ALL.into_iter().find(|model| {
+        model.spec().product == Some(product) || *model == Model::Vls128 && product == OF_MANUAL
+    }) {
         Some(model) => Ok(Some(model)),
         None => Err(DetectError::UnknownProduct { product }),
     }
@@ -457,11 +570,11 @@ fn unsupported(product: u8) -> Option<&'static str> {
         .map(|(_, sensor)| sensor)
 }
 
-/// The name of an unsupported sensor with another mixture of banks of lasers.
-fn many_banks(product: u8) -> &'static str {
-    match unsupported(product) {
-        Some(sensor @ "VLS-128") => sensor,
-        _ => "one with more than 64 lasers (VLS-128)",
+/// The name of a VLS-128 whose packets have three blocks for each bank.
+fn many_returns(return_mode: u8) -> &'static str {
+    match return_mode {
+        TRIPLE => "VLS-128 with three returns (mode 0x3A)",
+        _ => "VLS-128 in an unknown return mode with three blocks a bank",
     }
 }
 

@@ -45,8 +45,17 @@ impl Calibration {
                 None => message,
             });
         }
-        let beams = self.beams()[..model.spec().channels].to_vec();
-        Self::new(beams, self.distance_unit_m())
+        let spec = model.spec();
+        let beams = self.beams()[..spec.channels].to_vec();
+        Self::new(beams, spec.distance_unit_m)
+    }
+
+    /// Whether the unit of distance is one that files of this model have by mistake, so that
+    /// [`Calibration::for_model`] sets it right. That of `VLS128.yaml` of ros-drivers is 7 mm; its
+    /// readers take 4 mm, as the sensor does.
+    pub fn has_mistaken_unit(&self, model: Model) -> bool {
+        let mistaken_m = model.spec().mistaken_unit_m;
+        mistaken_m.is_some_and(|unit_m| (self.distance_unit_m() - unit_m).abs() < 1e-6)
     }
 
     /// Checks that these can be the beams of a model; the error gives the contradiction.
@@ -93,7 +102,8 @@ impl Calibration {
                 ));
             }
         }
-        if (self.distance_unit_m() - spec.distance_unit_m).abs() > 1e-6 {
+        let has_unit = (self.distance_unit_m() - spec.distance_unit_m).abs() < 1e-6;
+        if !has_unit && !self.has_mistaken_unit(model) {
             return Err(format!(
                 "a unit of distance is {:.1} mm, that of the {model} {:.1} mm",
                 self.distance_unit_m() * 1e3,

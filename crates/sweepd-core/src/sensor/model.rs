@@ -1,6 +1,6 @@
 //! The models as const tables: everything that differs between them is here.
 
-use crate::wire::data::{BLOCKS, DataPacket, FLAGS, RECORDS, ReturnMode};
+use crate::wire::data::{BLOCKS, DataPacket, FLAG_UNUSED, FLAGS, RECORDS, ReturnMode};
 
 /// A supported sensor model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -17,6 +17,11 @@ pub enum Model {
     Hdl64eS2,
     /// HDL-64E S3: the same, optionally with two returns, and with a checksum over its status.
     Hdl64eS3,
+    /// VLP-32C "Ultra Puck", and VLP-32MR, which has the same beams: 32 beams, the closest 0.33
+    /// degrees apart.
+    Vlp32c,
+    /// VLS-128 "Alpha Prime": 128 beams, most of them 0.11 degrees apart.
+    Vls128,
 }
 
 /// Properties of a model: names, factory byte, firing order and timing.
@@ -43,6 +48,8 @@ pub struct Spec {
     pub shifted: bool,
     /// Metres of one unit of distance.
     pub distance_unit_m: f64,
+    /// A unit that calibration files of this model have by mistake, metres.
+    pub(super) mistaken_unit_m: Option<f64>,
     /// The beams, where all units have the same.
     pub(super) nominal: Option<Nominal>,
 }
@@ -50,11 +57,16 @@ pub struct Spec {
 /// Times of the shots of a firing, and of the next firing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Timing {
+    /// From one firing to the next; the mean, if the lasers rest for a random time between them.
     firing_period_ns: u32,
+    /// Standard deviation of that rest.
+    rest_deviation_ns: u32,
     /// Shots of a head come in bursts: the period of bursts, and the time of each shot after the
     /// first of its burst.
     burst_period_ns: u32,
     burst_ns: &'static [u32],
+    /// Bursts after which the lasers pause, each time, and for how long.
+    pause: Option<(usize, u32)>,
 }
 
 /// Where the returns of one azimuth are in a packet: all of them in neighbouring blocks.
@@ -75,6 +87,8 @@ pub struct Places {
 pub enum Stamp {
     /// Its first shot.
     FirstShot,
+    /// The fourth burst of its first firing.
+    FourthBurst,
     /// Its output: the end of its last firing, so that all shots are before it.
     Output,
 }
@@ -91,6 +105,15 @@ pub(super) struct Nominal {
     pub(super) file: &'static str,
 }
 
+/// Shots one by one, without a rest or a pause.
+const SINGLE_SHOTS: Timing = Timing {
+    firing_period_ns: 0,
+    rest_deviation_ns: 0,
+    burst_period_ns: 0,
+    burst_ns: &[0],
+    pause: None,
+};
+
 /// VLP-16 User Manual 63-9243, sections 6 and 9.4 (timing), p. 54 (vertical offsets).
 const VLP16: Spec = Spec {
     name: "VLP-16",
@@ -102,11 +125,12 @@ const VLP16: Spec = Spec {
     timing: [Timing {
         firing_period_ns: 55_296,
         burst_period_ns: 2_304,
-        burst_ns: &[0],
+        ..SINGLE_SHOTS
     }; 2],
     stamp: Stamp::FirstShot,
     shifted: false,
     distance_unit_m: 0.002,
+    mistaken_unit_m: None,
     nominal: Some(Nominal {
         focal_radius_m: 0.041_91,
         text: include_str!("../../../../calib/vlp16.yaml"),
@@ -142,7 +166,7 @@ const HDL32E: Spec = Spec {
     timing: [Timing {
         firing_period_ns: 46_080,
         burst_period_ns: 1_152,
-        burst_ns: &[0],
+        ..SINGLE_SHOTS
     }; 2],
     nominal: Some(Nominal {
         focal_radius_m: 0.028_83,
@@ -159,6 +183,7 @@ const EVERY_48_US: Timing = Timing {
     firing_period_ns: 48_000,
     burst_period_ns: 6_000,
     burst_ns: &[0, 1_260, 2_460, 3_660],
+    ..SINGLE_SHOTS
 };
 
 /// Laser firing time table of the HDL-64E S3 manual, 63-HDL64ES3, p. 48.
@@ -166,6 +191,7 @@ const EVERY_57_6_US: Timing = Timing {
     firing_period_ns: 57_600,
     burst_period_ns: 7_200,
     burst_ns: &[0, 1_300, 2_500, 3_700],
+    ..SINGLE_SHOTS
 };
 
 /// HDL-64E S2 manual, Appendix D; S3 manual pp. 20 and 47. An S2 reports one return only: a sensor
@@ -196,15 +222,94 @@ const HDL64E_S3_SLOW: Spec = Spec {
     ..HDL64E_S3
 };
 
+/// VLP-32C User Manual 63-9325, pp. 53-69: two beams fire at once.
+const VLP32C: Spec = Spec {
+    name: "VLP-32C",
+    flag: "vlp32c",
+    product: Some(0x28),
+    channels: 32,
+    timing: [Timing {
+        firing_period_ns: 55_296,
+        burst_period_ns: 2_304,
+        burst_ns: &[0; 2],
+        ..SINGLE_SHOTS
+    }; 2],
+    shifted: true,
+    distance_unit_m: 0.004,
+    nominal: Some(Nominal {
+        focal_radius_m: 0.042_4,
+        text: include_str!("../../../../calib/vlp32c.yaml"),
+        file: "calib/vlp32c.yaml",
+    }),
+    ..VLP16
+};
+
+/// VLS-128 User Manual 63-9483, pp. 53-64: eight beams fire at once, sixteen times, with a pause of
+/// two slots in the middle, and two slots at the end. Newer firmware then rests for a random time,
+/// 1.94 us on average (measured).
+const EVERY_55_3_US: Timing = Timing {
+    firing_period_ns: 55_273,
+    rest_deviation_ns: 370,
+    burst_period_ns: 2_667,
+    burst_ns: &[0; 8],
+    pause: Some((8, 2 * 2_667)),
+};
+
+/// The same without the rest, as older firmware has it.
+const EVERY_53_3_US: Timing = Timing {
+    firing_period_ns: 53_333,
+    rest_deviation_ns: 0,
+    ..EVERY_55_3_US
+};
+
+/// Slower shots, which velodyne_decoder gives for firmware from 5.2.3 on.
+const EVERY_57_8_US: Timing = Timing {
+    firing_period_ns: 57_800,
+    burst_period_ns: 2_890,
+    pause: Some((8, 2 * 2_890)),
+    ..EVERY_53_3_US
+};
+
+const VLS128: Spec = Spec {
+    name: "VLS-128",
+    flag: "vls128",
+    product: Some(0xA1),
+    channels: 128,
+    returns_adjoin: true,
+    timing: [EVERY_55_3_US; 2],
+    stamp: Stamp::FourthBurst,
+    shifted: true,
+    distance_unit_m: 0.004,
+    mistaken_unit_m: Some(0.007),
+    nominal: Some(Nominal {
+        focal_radius_m: 0.058_63,
+        text: include_str!("../../../../calib/vls128.yaml"),
+        file: "calib/vls128.yaml",
+    }),
+    ..VLP16
+};
+
+const VLS128_STEADY: Spec = Spec {
+    timing: [EVERY_53_3_US; 2],
+    ..VLS128
+};
+
+const VLS128_SLOW: Spec = Spec {
+    timing: [EVERY_57_8_US; 2],
+    ..VLS128
+};
+
 impl Model {
     /// All supported models.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 8] = [
         Self::Vlp16,
         Self::PuckLite,
         Self::PuckHiRes,
         Self::Hdl32e,
         Self::Hdl64eS2,
         Self::Hdl64eS3,
+        Self::Vlp32c,
+        Self::Vls128,
     ];
 
     /// The table of this model.
@@ -216,13 +321,15 @@ impl Model {
             Self::Hdl32e => &HDL32E,
             Self::Hdl64eS2 => &HDL64E_S2,
             Self::Hdl64eS3 => &HDL64E_S3,
+            Self::Vlp32c => &VLP32C,
+            Self::Vls128 => &VLS128,
         }
     }
 
-    /// All tables of this model, [`Model::spec`] first: an HDL-64E S3 has one more, in which a
-    /// firing takes 57.6 us with one return as well. Sources contradict each other; the packet
-    /// period decides.
-    pub fn specs(self) -> &'static [&'static Spec] {
+    /// All tables of this model, [`Model::spec`] first; the packet period decides. An HDL-64E S3
+    /// has one more, in which a firing takes 57.6 us with one return as well: sources contradict
+    /// each other. Firmware of the VLS-128 has three timings.
+    pub const fn specs(self) -> &'static [&'static Spec] {
         match self {
             Self::Vlp16 => &[&VLP16],
             Self::PuckLite => &[&PUCK_LITE],
@@ -230,6 +337,8 @@ impl Model {
             Self::Hdl32e => &[&HDL32E],
             Self::Hdl64eS2 => &[&HDL64E_S2],
             Self::Hdl64eS3 => &[&HDL64E_S3, &HDL64E_S3_SLOW],
+            Self::Vlp32c => &[&VLP32C],
+            Self::Vls128 => &[&VLS128, &VLS128_STEADY, &VLS128_SLOW],
         }
     }
 
@@ -240,7 +349,7 @@ impl Model {
 
     /// The model of a code.
     pub fn from_code(code: u32) -> Option<Self> {
-        Self::ALL.into_iter().find(|model| model.code() == code)
+        Self::ALL.get((code as usize).checked_sub(1)?).copied()
     }
 
     /// Whether it is an HDL-64E of any series.
@@ -287,7 +396,10 @@ impl Spec {
         let places = self.places(mode);
         for (index, block) in packet.blocks.iter_mut().enumerate() {
             let bank = index % places.blocks / places.bank_step % self.banks();
-            block.flag.set(FLAGS[bank]);
+            let is_used = index < places.blocks * places.azimuths;
+            block
+                .flag
+                .set(if is_used { FLAGS[bank] } else { FLAG_UNUSED[1] });
         }
     }
 
@@ -326,10 +438,19 @@ impl Spec {
         let Timing {
             burst_period_ns,
             burst_ns,
+            pause,
             ..
         } = self.timing(mode);
         let shot = channel % (self.channels / self.heads);
-        burst_period_ns * (shot / burst_ns.len()) as u32 + burst_ns[shot % burst_ns.len()]
+        let burst = shot / burst_ns.len();
+        let paused_ns = pause.map_or(0, |(bursts, pause_ns)| (burst / bursts) as u32 * pause_ns);
+        burst_period_ns * burst as u32 + paused_ns + burst_ns[shot % burst_ns.len()]
+    }
+
+    /// Standard deviation of the time from one firing to the next, nanoseconds: 0 where the lasers
+    /// do not rest for a random time.
+    pub fn firing_deviation_ns(&self, mode: ReturnMode) -> f64 {
+        f64::from(self.timing(mode).rest_deviation_ns)
     }
 
     /// First shot of a packet after its stamp, nanoseconds: 0 or less. `silent_ns` is the time in
@@ -337,6 +458,7 @@ impl Spec {
     pub fn first_shot_ns(&self, mode: ReturnMode, silent_ns: i64) -> i64 {
         match self.stamp {
             Stamp::FirstShot => 0,
+            Stamp::FourthBurst => -3 * i64::from(self.timing(mode).burst_period_ns),
             Stamp::Output => -i64::from(self.packet_period_ns(mode)) - silent_ns,
         }
     }
@@ -365,6 +487,8 @@ impl std::str::FromStr for Model {
         match &word[..] {
             "puck" => Ok(Self::Vlp16),
             "hdl64es21" => Ok(Self::Hdl64eS2),
+            "ultrapuck" => Ok(Self::Vlp32c),
+            "alphaprime" => Ok(Self::Vls128),
             _ => Self::ALL
                 .into_iter()
                 .find(|model| {
@@ -405,11 +529,15 @@ mod tests {
             ("HDL-64E S2", Model::Hdl64eS2),
             ("hdl64e-s2.1", Model::Hdl64eS2),
             ("HDL64E_S3", Model::Hdl64eS3),
+            ("Ultra Puck", Model::Vlp32c),
+            ("VLP-32C", Model::Vlp32c),
+            ("Alpha Prime", Model::Vls128),
+            ("vls-128", Model::Vls128),
         ] {
             assert_eq!(text.parse::<Model>().ok(), Some(model), "{text}");
         }
         for text in [
-            "", "-", "vlp", "vlp-32c", "hdl64e", "hdl64", "os1", "vlp16x",
+            "", "-", "vlp", "vlp-32a", "hdl64e", "hdl64", "os1", "vlp16x",
         ] {
             assert!(text.parse::<Model>().is_err(), "{text}");
         }
@@ -424,6 +552,17 @@ mod tests {
         assert_eq!(period(Model::Hdl32e, ReturnMode::Dual), 276_480);
         assert_eq!(period(Model::Hdl64eS2, ReturnMode::Strongest), 288_000);
         assert_eq!(period(Model::Hdl64eS3, ReturnMode::Dual), 172_800);
+        assert_eq!(period(Model::Vlp32c, ReturnMode::Last), 663_552);
+        assert_eq!(period(Model::Vlp32c, ReturnMode::Dual), 331_776);
+        // 160.0, 165.82 and 173.4 us, to a few nanoseconds; a third of that with two returns.
+        let vls128 = |mode| {
+            Model::Vls128
+                .specs()
+                .iter()
+                .map(move |spec| spec.packet_period_ns(mode))
+        };
+        assert!(vls128(ReturnMode::Last).eq([165_819, 159_999, 173_400]));
+        assert!(vls128(ReturnMode::Dual).eq([55_273, 53_333, 57_800]));
         assert_eq!(
             Model::Hdl64eS3.specs()[1].packet_period_ns(ReturnMode::Strongest),
             345_600

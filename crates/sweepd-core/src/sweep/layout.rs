@@ -11,7 +11,8 @@
 //! number hold the return that is segmented, the planes "2" the other one, and `kind` tells which
 //! is which.
 //!
-//! The beams of an HDL-64E point up to ten degrees to the side. Its rows are shifted by whole
+//! The beams of an HDL-64E point up to ten degrees to the side, those of a VLS-128 up to six, those
+//! of a VLP-32C up to four. Their rows are shifted by whole
 //! columns, so that neighbours in the image are neighbours in space: the return in a row of column
 //! `c` was fired in column `c + shift`, whose azimuth and time are its own ([`BeamRow::shift`]). In
 //! a circular sweep columns are counted around the turn (what is beyond the last is at the first
@@ -76,6 +77,9 @@ pub mod flags {
     pub const STOPPED: u32 = 1 << 5;
     /// The mounting height was estimated from the sweeps and not configured.
     pub const HEIGHT_ESTIMATED: u32 = 1 << 6;
+    /// [`Header::lost_packets`](super::Header::lost_packets) is an estimate: the packets of a
+    /// VLS-128 have no steady period, and too many are missing to count them by their stamps.
+    pub const LOSS_ESTIMATED: u32 = 1 << 7;
 }
 
 /// Which clock [`Header::time_ns`] is in.

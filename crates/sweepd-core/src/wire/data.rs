@@ -34,7 +34,12 @@ pub const FLAG_BANK_3: u16 = 0xBBFF;
 /// The markers of the banks, in their order.
 pub const FLAGS: [u16; 4] = [FLAG_BANK_0, FLAG_BANK_1, FLAG_BANK_2, FLAG_BANK_3];
 /// Markers of the four unused blocks at the end of a VLS-128 dual-return packet.
-const FLAG_UNUSED: [u16; 2] = [0x0000, 0xFFFF];
+pub const FLAG_UNUSED: [u16; 2] = [0x0000, 0xFFFF];
+
+/// Factory byte 1204 of a VLS-128 that adds the confidence to two returns.
+pub const DUAL_WITH_CONFIDENCE: u8 = 0x3B;
+/// Factory byte 1204 of a VLS-128 that sends three returns.
+pub const TRIPLE: u8 = 0x3A;
 
 /// One measurement of one laser.
 #[derive(
@@ -62,6 +67,16 @@ pub struct Block {
 }
 
 impl Block {
+    /// One without content.
+    const UNUSED: Self = Self {
+        flag: U16::new(FLAG_UNUSED[1]),
+        azimuth: U16::ZERO,
+        records: [Record {
+            distance: U16::ZERO,
+            reflectivity: 0,
+        }; RECORDS],
+    };
+
     /// Encoder azimuth at the first firing of the block, 0..36000 hundredths of a degree.
     ///
     /// Sensors sometimes send 36000 (in both VeloView captures); it is read as 0.
@@ -145,8 +160,36 @@ pub enum Banks {
     Alternating,
     /// Three blocks of the upper head for one of the lower: HDL-64E S1.
     UpperHeavy,
-    /// Any other mixture: VLS-128, or a corrupt packet.
+    /// Four banks, three times: VLS-128 with one return.
+    Four,
+    /// Each of four banks twice, then four unused blocks: VLS-128 with two returns.
+    FourTwice,
+    /// Each of four banks three times: VLS-128 with three returns, or with two and their
+    /// confidence.
+    FourThrice,
+    /// Any other mixture: a corrupt packet.
     Other,
+}
+
+impl Banks {
+    /// Banks of 32 lasers that a supported sensor of this layout has.
+    pub fn count(self) -> Option<usize> {
+        match self {
+            Self::One => Some(1),
+            Self::Alternating => Some(2),
+            Self::Four | Self::FourTwice | Self::FourThrice => Some(4),
+            Self::UpperHeavy | Self::Other => None,
+        }
+    }
+
+    /// The flags of a layout of four banks, by block; `None` for an unused one.
+    fn flags(self, block: usize) -> Option<u16> {
+        match self {
+            Self::Four => Some(FLAGS[block % 4]),
+            Self::FourTwice => FLAGS.get(block / 2).copied(),
+            _ => Some(FLAGS[block / 3]),
+        }
+    }
 }
 
 /// A data packet: a view over its 1206 bytes, or an owned value.
@@ -250,6 +293,15 @@ impl DataPacket {
         if alternates {
             return Banks::Alternating;
         }
+        for banks in [Banks::Four, Banks::FourTwice, Banks::FourThrice] {
+            let is_like = |(index, block): (usize, &Block)| match banks.flags(index) {
+                Some(flag) => block.flag.get() == flag,
+                None => FLAG_UNUSED.contains(&block.flag.get()),
+            };
+            if self.blocks.iter().enumerate().all(is_like) {
+                return banks;
+            }
+        }
         let upper = self
             .blocks
             .iter()
@@ -278,10 +330,37 @@ impl DataPacket {
         })
     }
 
+    /// Its two returns alone, laid out as by a VLS-128 that adds no confidence to them; `None` for
+    /// any other packet. Of three blocks of a bank, the third holds the confidence (byte 1204 is
+    /// [`DUAL_WITH_CONFIDENCE`]; VeloView, vtkDataPacket.h).
+    pub fn without_confidence(&self) -> Option<Self> {
+        if self.return_mode != DUAL_WITH_CONFIDENCE || self.banks() != Banks::FourThrice {
+            return None;
+        }
+        let mut packet = Self {
+            return_mode: ReturnMode::Dual.byte(),
+            ..*self
+        };
+        for (index, block) in packet.blocks.iter_mut().enumerate() {
+            match Banks::FourTwice.flags(index) {
+                Some(_) => *block = self.blocks[index / 2 * 3 + index % 2],
+                None => *block = Block::UNUSED,
+            }
+        }
+        Some(packet)
+    }
+
     /// Non-zero distances in the packet.
     pub fn returns(&self) -> usize {
-        self.blocks
-            .iter()
+        let banks = self.banks();
+        let is_used = |index: usize| match banks {
+            Banks::FourTwice => banks.flags(index).is_some(),
+            Banks::FourThrice if self.return_mode == DUAL_WITH_CONFIDENCE => index % 3 < 2,
+            _ => true,
+        };
+        (self.blocks.iter().enumerate())
+            .filter(|&(index, _)| is_used(index))
+            .map(|(_, block)| block)
             .flat_map(|b| &b.records)
             .filter(|r| r.distance != U16::ZERO)
             .count()

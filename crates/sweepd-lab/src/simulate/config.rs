@@ -178,7 +178,9 @@ pub fn address(model: Model) -> Ipv4Addr {
     match model {
         Model::Hdl64eS2 | Model::Hdl64eS3 => Ipv4Addr::new(192, 168, 3, 43),
         Model::Hdl32e => Ipv4Addr::new(192, 168, 1, 202),
-        Model::Vlp16 | Model::PuckLite | Model::PuckHiRes => Ipv4Addr::new(192, 168, 1, 201),
+        Model::Vlp16 | Model::PuckLite | Model::PuckHiRes | Model::Vlp32c | Model::Vls128 => {
+            Ipv4Addr::new(192, 168, 1, 201)
+        }
     }
 }
 

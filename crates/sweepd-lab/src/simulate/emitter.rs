@@ -61,7 +61,7 @@ struct Draft {
 }
 
 /// Most beams of a model.
-const MAX_CHANNELS: usize = 64;
+const MAX_CHANNELS: usize = 128;
 
 impl<'a> Emitter<'a> {
     /// A sensor in a scene.

@@ -4,11 +4,13 @@
 //! blocks of one azimuth     one return     two returns
 //! VLP-16, HDL-32E           any            last, strong
 //! HDL-64E                   upper, lower   upper and lower of strong, upper and lower of last
+//! VLS-128                   four banks     strong and last of each of four banks
 //! ```
 //!
 //! (VLP-16 User Manual, section 9.3; HDL-64E S3 manual, 63-HDL64ES3, pp. 20 and 47. The manual does
 //! not define which pair of an HDL-64E holds which return: this follows VeloView and
-//! velodyne_decoder.)
+//! velodyne_decoder. For the VLS-128 sources contradict each other, too: this follows UniBwTAS/velodyne,
+//! whose authors have one.)
 
 use std::ops::Range;
 

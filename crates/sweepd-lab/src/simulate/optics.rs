@@ -33,6 +33,8 @@ impl Optics {
             Model::Vlp16 | Model::PuckLite | Model::PuckHiRes => (0.4, 100.0),
             Model::Hdl32e => (0.4, 80.0),
             Model::Hdl64eS2 | Model::Hdl64eS3 => (0.9, 120.0),
+            Model::Vlp32c => (0.5, 200.0),
+            Model::Vls128 => (1.0, 245.0),
         };
         Self {
             min_range_m,

@@ -1,15 +1,19 @@
 //! Firing times of the blocks of each packet: with a constant period, except for a sector that is
-//! left out.
+//! left out, and for lasers that rest for a random time after each firing.
+
+use fastrand::Rng;
 
 use super::config::EmitterConfig;
 use sweepd_core::sensor::model::Stamp;
-use sweepd_core::wire::data::BLOCKS;
+use sweepd_core::wire::data::{BLOCKS, ReturnMode};
 
 /// Hands out the times of one packet after the other.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Schedule {
     ordinal: u64,
     next_ns: i64,
+    /// Firings so far, also those in a sector that was left out.
+    firings: u64,
 }
 
 /// When a packet is fired, nanoseconds after the first shot of all.
@@ -29,8 +33,7 @@ impl Schedule {
         let ordinal = self.ordinal;
         let mode = config.mode_of(ordinal);
         let limit_ns = config.first_shot_ns(config.packets);
-        let step_ns = i64::from(config.spec.azimuth_period_ns(mode));
-        if config.fov.is_none() {
+        if config.fov.is_none() && !config.rests(mode) {
             self.next_ns = config.first_shot_ns(ordinal);
         }
         let mut starts_ns = [0; BLOCKS];
@@ -39,15 +42,16 @@ impl Schedule {
                 .fov
                 .is_some_and(|fov| !fov.has(config.azimuth_rad(self.next_ns), self.next_ns))
             {
-                self.next_ns += step_ns;
+                self.next_ns += self.step_ns(config, mode);
                 if self.next_ns >= limit_ns {
                     return None;
                 }
             }
             *start_ns = self.next_ns;
-            self.next_ns += step_ns;
+            self.next_ns += self.step_ns(config, mode);
         }
-        if ordinal >= config.packets || self.next_ns > limit_ns {
+        let is_over = config.fov.is_some() && self.next_ns > limit_ns;
+        if ordinal >= config.packets || is_over {
             return None;
         }
         self.ordinal += 1;
@@ -57,9 +61,28 @@ impl Schedule {
             end_ns: self.next_ns,
         })
     }
+
+    /// From one azimuth to the next.
+    fn step_ns(&mut self, config: &EmitterConfig, mode: ReturnMode) -> i64 {
+        let period_ns = i64::from(config.spec.azimuth_period_ns(mode));
+        if !config.rests(mode) {
+            return period_ns;
+        }
+        self.firings += 1;
+        let mut rng =
+            Rng::with_seed(config.seed ^ self.firings.wrapping_mul(0xD134_2543_DE82_EF95));
+        // The standard deviation of a sum of two uniform numbers is half its range over the root of 6.
+        let half_ns = config.spec.firing_deviation_ns(mode) * 6.0_f64.sqrt();
+        period_ns + (half_ns * (rng.f64() + rng.f64() - 1.0)).round() as i64
+    }
 }
 
 impl EmitterConfig {
+    /// Whether its lasers rest for a random time after each firing.
+    fn rests(&self, mode: ReturnMode) -> bool {
+        self.spec.firing_deviation_ns(mode) > 0.0
+    }
+
     /// Data packets that it really sends.
     pub fn sent_packets(&self) -> u64 {
         if self.fov.is_none() {
@@ -82,7 +105,10 @@ impl Times {
     /// What the stamp says.
     pub fn stamped_ns(&self, config: &EmitterConfig) -> i64 {
         match config.spec.stamp {
-            Stamp::FirstShot => self.starts_ns[0],
+            Stamp::FirstShot | Stamp::FourthBurst => {
+                let mode = config.mode_of(self.ordinal);
+                self.starts_ns[0] - config.spec.first_shot_ns(mode, 0)
+            }
             Stamp::Output => self.end_ns,
         }
     }
@@ -93,7 +119,6 @@ mod tests {
     use super::*;
     use crate::simulate::head::FieldOfView;
     use sweepd_core::sensor::Model;
-    use sweepd_core::wire::data::ReturnMode;
 
     fn times(config: &EmitterConfig) -> Vec<Times> {
         let mut schedule = Schedule::default();

@@ -77,10 +77,10 @@ pub struct Args {
     /// unit that is made up, another one for each seed]
     #[arg(long, value_name = "FILE")]
     pub(super) calibration: Option<PathBuf>,
-    /// From one firing of an hdl64e-s3 with one return to the next: 48 or 57.6; sources contradict
-    /// each other [default: 48]
+    /// From one firing to the next: 48 or 57.6 of an hdl64e-s3 with one return, of which sources
+    /// contradict each other; 53.3, 55.3 or 57.8 of a vls128, by its firmware [default: 48, 55.3]
     #[arg(long, value_name = "MICROSECONDS", value_parser = firing_period, allow_negative_numbers = true)]
-    pub(super) firing_period: Option<u32>,
+    pub(super) firing_period: Option<f64>,
     /// The GPS receiver: locked, none, or the seconds FROM..TO in which it has satellites; either
     /// may be left out, such as 2..; the clock follows two seconds after FROM
     #[arg(long, value_name = "WHEN", default_value = "locked", value_parser = gps, allow_negative_numbers = true)]
@@ -195,13 +195,17 @@ fn gps_second(text: &str) -> Option<i64> {
     Some((seconds * 1e9) as i64)
 }
 
-/// Microseconds as nanoseconds.
-fn firing_period(text: &str) -> Result<u32, String> {
-    match text.parse::<f64>() {
-        Ok(48.0) => Ok(48_000),
-        Ok(57.6) => Ok(57_600),
-        _ => Err("expected 48 or 57.6 microseconds".to_owned()),
-    }
+/// Microseconds.
+fn firing_period(text: &str) -> Result<f64, String> {
+    text.parse()
+        .ok()
+        .filter(|us| (1.0..1e3).contains(us))
+        .ok_or_else(|| "expected microseconds, such as 48".to_owned())
+}
+
+/// From one firing to the next with one return, microseconds to one decimal.
+fn firing_us(spec: &Spec) -> f64 {
+    (f64::from(spec.firing_period_ns(ReturnMode::Strongest)) / 100.0).round() / 10.0
 }
 
 fn seed(text: &str) -> Result<u64, String> {
@@ -275,25 +279,19 @@ impl Args {
 
     /// The timing of a model.
     fn spec(&self, model: Model) -> Result<&'static Spec, CliError> {
-        let Some(period_ns) = self.firing_period else {
+        let Some(period_us) = self.firing_period else {
             return Ok(model.spec());
         };
-        if let [only] = model.specs() {
-            let us = f64::from(only.firing_period_ns(ReturnMode::Strongest)) / 1e3;
-            let message = format!(
-                "--firing-period: the {model} always fires every {us} us; only the {} may differ",
-                Model::Hdl64eS3
-            );
-            return Err(CliError::Usage(message));
-        }
-        let found = model
-            .specs()
-            .iter()
-            .find(|spec| spec.firing_period_ns(ReturnMode::Strongest) == period_ns);
+        let specs = model.specs();
+        let found = specs.iter().find(|spec| firing_us(spec) == period_us);
         found.copied().ok_or_else(|| {
+            let known: Vec<_> = specs
+                .iter()
+                .map(|spec| firing_us(spec).to_string())
+                .collect();
             CliError::Usage(format!(
-                "--firing-period: the {model} never fires every {} us",
-                f64::from(period_ns) / 1e3
+                "--firing-period: the {model} fires every {} us",
+                known.join(" or ")
             ))
         })
     }

@@ -49,6 +49,7 @@ fn behind_a_gap_four_packets_are_held() {
         (
             11,
             PacketGap::Lost {
+                is_exact: true,
                 packets: 1,
                 silence: None,
                 ..

@@ -1,9 +1,8 @@
 //! The detected model of a stream.
 
-use super::timing::banks_of;
 use crate::sensor::Model;
 use crate::sensor::model::Spec;
-use crate::wire::data::{BLOCKS, DataPacket, ReturnMode};
+use crate::wire::data::{BLOCKS, Banks, DataPacket, ReturnMode};
 
 /// The model of a stream, the evidence for it, and the content of its packets.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,11 +32,24 @@ pub(super) fn says_two_returns(packet: &DataPacket) -> Option<bool> {
     ((first - second).abs() >= TELLING_STEP_CDEG).then_some(true)
 }
 
+/// The mode of a packet that holds one return, by its byte.
+pub(super) fn of_one_return(byte: u8) -> ReturnMode {
+    match ReturnMode::from_byte(byte) {
+        Some(ReturnMode::Last) => ReturnMode::Last,
+        _ => ReturnMode::Strongest,
+    }
+}
+
 impl Detection {
     /// The return mode of a packet; `last` is that of the packet before. An HDL-64E shows it by its
-    /// azimuths, and keeps the last mode while the head stands still. Other models have a byte for
-    /// it; if that is blank, the detected mode applies.
+    /// azimuths, and keeps the last mode while the head stands still; a VLS-128 by its blocks.
+    /// Other models have a byte for it; if that is blank, the detected mode applies.
     pub fn mode_of(&self, packet: &DataPacket, last: ReturnMode) -> ReturnMode {
+        match packet.banks() {
+            Banks::FourTwice => return ReturnMode::Dual,
+            Banks::Four => return of_one_return(packet.return_mode),
+            _ => {}
+        }
         if !self.model.is_hdl64e() {
             return ReturnMode::from_byte(packet.return_mode).unwrap_or(self.return_mode);
         }
@@ -50,7 +62,8 @@ impl Detection {
 
     /// Whether a packet has the layout of this sensor's packets.
     pub fn has_layout(&self, packet: &DataPacket) -> bool {
-        packet.banks() == banks_of(self.model)
+        let banks = packet.banks();
+        banks != Banks::FourThrice && banks.count() == Some(self.model.spec().banks())
     }
 }
 
@@ -68,6 +81,11 @@ pub enum Basis {
     Period,
     /// The product byte: there were too few packets to measure their period.
     BytesAlone,
+    /// The time that the head takes from one azimuth to the next: too many packets were lost, or
+    /// too few came, to measure their period.
+    Turn,
+    /// The four banks of lasers of a VLS-128.
+    FourBanks,
     /// The two heads, whose blocks alternate, and the packet period.
     HeadsAndPeriod,
     /// The two heads: there were too few packets to measure their period.
@@ -85,6 +103,10 @@ impl Basis {
                 "by its packet period, since its factory bytes are blank or those of early firmware"
             }
             Self::BytesAlone => "by its factory bytes alone, too few packets to check their period",
+            Self::Turn => {
+                "by the turn of its head, since its factory bytes are blank or those of early firmware"
+            }
+            Self::FourBanks => "by its four banks of lasers",
             Self::HeadsAndPeriod => "by its two heads and packet period",
             Self::HeadsAlone => "by its two heads alone, too few packets to check their period",
         }

@@ -35,25 +35,25 @@ pub enum DetectError {
         interval_us: u32,
     },
     /// The user gives one model, but the blocks have the layout of another.
-    #[error("the given model is {said}, but the blocks of its packets {}", layout(*.heads))]
+    #[error("the given model is {said}, but the blocks of its packets {}", layout(*.banks))]
     Layout {
         /// The model that was said.
         said: Model,
-        /// Whether they are those of two heads.
-        heads: bool,
+        /// How they are laid out.
+        banks: Banks,
     },
     /// The packet period is that of no supported model.
     #[error(
         "packets come {median_us} us apart by the sensor clock, expected in {mode} mode: {}",
-        expected(.mode, .heads)
+        expected(*.mode, *.banks)
     )]
     UnknownPeriod {
         /// The median interval, microseconds.
         median_us: u32,
         /// The return mode that the packets seem to have.
         mode: ReturnMode,
-        /// Whether the blocks are those of two heads.
-        heads: bool,
+        /// How the blocks are laid out.
+        banks: Banks,
     },
     /// Blank factory bytes, and too few packets to measure their period.
     #[error("{packets} packets and blank factory bytes do not tell the sensor")]
@@ -63,27 +63,20 @@ pub enum DetectError {
     },
 }
 
-/// Packet periods of the supported models with these returns and heads.
-fn expected(mode: &ReturnMode, heads: &bool) -> String {
-    timings(if *heads {
-        Banks::Alternating
-    } else {
-        Banks::One
-    })
-    .map(|(model, spec)| {
-        format!(
-            "{:.1} us on the {model}",
-            f64::from(spec.packet_period_ns(*mode)) / 1e3
-        )
-    })
-    .join(", ")
+/// Packet periods of the supported models with these returns and banks.
+fn expected(mode: ReturnMode, banks: Banks) -> String {
+    let periods = timings(banks).iter().map(|(model, spec)| {
+        let us = f64::from(spec.packet_period_ns(mode)) / 1e3;
+        format!("{us:.1} us on the {model}")
+    });
+    periods.collect::<Vec<_>>().join(", ")
 }
 
-/// How the blocks of packets of one head, or of two, are laid out.
-fn layout(heads: bool) -> &'static str {
-    if heads {
-        "alternate between two heads, as those of the HDL-64E do"
-    } else {
-        "are all of one head, and those of the HDL-64E alternate between two"
+/// How the blocks of packets are laid out.
+fn layout(banks: Banks) -> &'static str {
+    match banks.count() {
+        Some(1) => "have one bank of lasers, as those of the VLP-16, HDL-32E and VLP-32C do",
+        Some(2) => "alternate between two heads, as those of the HDL-64E do",
+        _ => "have four banks of lasers, as those of the VLS-128 do",
     }
 }

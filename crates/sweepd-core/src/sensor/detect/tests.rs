@@ -199,16 +199,9 @@ fn the_mode_of_a_head_that_stands_still_follows_from_the_period() {
 
 #[test]
 fn unsupported_sensors_are_named_at_once() {
-    let cases = [
-        (0x28, "VLP-32C"),
-        (0xA1, "VLS-128"),
-        (0x63, "VLS-128"),
-        (0x31, "Velarray"),
-    ];
-    for (product, sensor) in cases {
-        let verdict = run(None, (SINGLE, product), false, &[0]);
-        assert_eq!(verdict, (1, Err(DetectError::Unsupported { sensor })));
-    }
+    let verdict = run(None, (SINGLE, 0x31), false, &[0]);
+    let sensor = "Velarray";
+    assert_eq!(verdict, (1, Err(DetectError::Unsupported { sensor })));
     let message = run(None, (SINGLE, 0x23), false, &[0])
         .1
         .unwrap_err()
@@ -232,13 +225,128 @@ fn unsupported_sensors_are_named_at_once() {
             }))
         );
     }
-    let mut vls128 = DataPacket::new(0, SINGLE, 0xA1);
-    vls128.blocks[1].flag.set(FLAG_BANK_1);
-    let verdict = Detector::new(Some(Model::Vlp16)).observe(&vls128);
+    let mut mixed = DataPacket::new(0, SINGLE, 0xA1);
+    mixed.blocks[1].flag.set(FLAG_BANK_1);
+    let verdict = Detector::new(Some(Model::Vlp16)).observe(&mixed);
+    let sensor = "one whose lasers are in no known order";
+    assert_eq!(verdict, Some(Err(DetectError::Unsupported { sensor })));
+    let triple = four_banks(0, TRIPLE, 3);
+    let verdict = Detector::new(Some(Model::Vls128)).observe(&triple);
+    let sensor = "VLS-128 with three returns (mode 0x3A)";
+    assert_eq!(verdict, Some(Err(DetectError::Unsupported { sensor })));
+}
+
+/// A packet of four banks, each in this many blocks in turn; one of two has four unused blocks.
+fn four_banks(stamp_us: u32, mode: u8, blocks_of_bank: usize) -> DataPacket {
+    let mut packet = DataPacket::new(stamp_us, mode, 0);
+    for (index, block) in packet.blocks.iter_mut().enumerate() {
+        let bank = match blocks_of_bank {
+            1 => index % 4,
+            count => index / count,
+        };
+        let flags = [0xEEFF, 0xDDFF, 0xCCFF, 0xBBFF, 0, 0xFFFF];
+        block.flag.set(flags[bank]);
+    }
+    packet
+}
+
+/// Periods of models.md: 160.0, 165.82 and 173.4 us with one return, a third of that with two;
+/// stamps of the second are a random walk.
+#[test]
+fn a_vls128_is_told_by_its_flags_and_its_firmware_by_the_mean_interval() {
+    let mut rng = fastrand::Rng::with_seed(1);
+    for (mode, blocks, third) in [
+        (SINGLE, 1, 1.0),
+        (0x38, 1, 1.0),
+        (DUAL, 2, 3.0),
+        (0x3B, 3, 3.0),
+    ] {
+        for (number, period_us) in [(1, 160.0), (0, 165.82), (2, 173.4)] {
+            for _ in 0..50 {
+                let mut detector = Detector::new(None);
+                let mut clock_us = 5e6 + rng.f64();
+                let verdict = (0..MAX_PACKETS).find_map(|_| {
+                    let rest = if number == 0 {
+                        2.0 * rng.f64() - 1.0
+                    } else {
+                        0.0
+                    };
+                    clock_us += period_us / third + rest / f64::sqrt(third);
+                    detector.observe(&four_banks(clock_us as u32, mode, blocks))
+                });
+                let found = verdict.unwrap().unwrap();
+                assert_eq!(
+                    (found.model, found.basis),
+                    (Model::Vls128, Basis::FourBanks)
+                );
+                let expected = match mode {
+                    0x38 => ReturnMode::Last,
+                    SINGLE => ReturnMode::Strongest,
+                    _ => ReturnMode::Dual,
+                };
+                assert_eq!(found.return_mode, expected);
+                assert_eq!(
+                    found.spec,
+                    Model::Vls128.specs()[number],
+                    "{mode:#x} {period_us}"
+                );
+            }
+        }
+    }
+    // Neither a factory byte nor the user turns it into another sensor.
+    let mut detector = Detector::new(Some(Model::Vlp16));
+    detector.observe(&four_banks(0, SINGLE, 1));
     assert_eq!(
-        verdict,
-        Some(Err(DetectError::Unsupported { sensor: "VLS-128" }))
+        detector.conclude().unwrap_err().to_string(),
+        "the given model is VLP-16, but the blocks of its packets have four banks of lasers, as those of the VLS-128 do"
     );
+}
+
+/// Packets of a head at 600 rpm: azimuth by azimuth, each this long after the other.
+fn turning(azimuth_us: f64, paired: bool, azimuths: &[usize]) -> Vec<DataPacket> {
+    let cdeg_us = 0.36;
+    azimuths
+        .iter()
+        .map(|&first| {
+            let mut packet = DataPacket::new((9e6 + first as f64 * azimuth_us) as u32, 0, 0);
+            for (index, block) in packet.blocks.iter_mut().enumerate() {
+                let step = if paired { index / 2 } else { index };
+                let turned = (first + step) as f64 * azimuth_us * cdeg_us;
+                block.set_azimuth_cdeg((turned.round() % 36_000.0) as u16);
+            }
+            packet
+        })
+        .collect()
+}
+
+#[test]
+fn the_turn_of_the_head_tells_models_of_one_bank_whatever_was_lost() {
+    use ReturnMode::{Dual, Strongest};
+    for (model, azimuth_us) in [
+        (Model::Vlp16, 110.592),
+        (Model::Hdl32e, 46.08),
+        (Model::Vlp32c, 55.296),
+    ] {
+        for (paired, mode) in [(false, Strongest), (true, Dual)] {
+            let in_packet = if paired { 6 } else { 12 };
+            for lost in 0..30 {
+                // The second packet, and some more as far apart.
+                for count in [2, 4] {
+                    let azimuths: Vec<_> = (0..count).map(|n| n * (lost + 1) * in_packet).collect();
+                    let mut detector = Detector::new(None);
+                    let verdict = turning(azimuth_us, paired, &azimuths)
+                        .iter()
+                        .find_map(|packet| detector.observe(packet));
+                    let found = verdict.unwrap_or_else(|| detector.conclude()).unwrap();
+                    assert_eq!(
+                        (found.model, found.return_mode),
+                        (model, mode),
+                        "{lost} lost of each {count}"
+                    );
+                }
+            }
+        }
+    }
 }
 
 #[test]
@@ -287,10 +395,20 @@ fn the_user_beats_the_bytes_but_not_the_period() {
 fn the_user_does_not_turn_another_sensor_into_a_vlp16() {
     // A VLP-32C: its period is half that of a VLP-16.
     let times = stamps(VLP16_NS / 2, &(0..12).collect::<Vec<_>>());
-    let verdict = run(Some(Model::Vlp16), (SINGLE, 0x28), false, &times);
+    let (_, verdict) = run(Some(Model::Vlp16), (SINGLE, 0x28), false, &times);
+    assert_eq!(
+        verdict.unwrap_err().to_string(),
+        "the given model is VLP-16, but packets come 663 us apart, as those of the VLP-32C do"
+    );
+    // A VLP-32MR has the same beams and an unknown byte.
+    let (_, verdict) = run(Some(Model::Vlp32c), (SINGLE, 0x99), false, &times);
     assert_eq!(
         verdict,
-        (1, Err(DetectError::Unsupported { sensor: "VLP-32C" }))
+        found(
+            Model::Vlp32c,
+            ReturnMode::Strongest,
+            Basis::GivenAgainstBytes
+        )
     );
 }
 
@@ -328,14 +446,15 @@ fn a_period_of_no_model_is_an_error_after_the_last_packet() {
             Err(DetectError::UnknownPeriod {
                 median_us: 800,
                 mode,
-                heads: false
+                banks: Banks::One
             })
         );
         let message = verdict.unwrap_err().to_string();
         assert!(
             message.contains("800 us apart")
-                && message
-                    .ends_with("strongest mode: 1327.1 us on the VLP-16, 553.0 us on the HDL-32E"),
+                && message.ends_with(
+                    "1327.1 us on the VLP-16, 553.0 us on the HDL-32E, 663.6 us on the VLP-32C"
+                ),
             "{message}"
         );
     }
@@ -396,12 +515,23 @@ fn a_change_of_return_mode_starts_the_measurement_again() {
 
 #[test]
 fn no_interval_fits_two_timings() {
+    let periods = |banks, mode| {
+        let timings = timings(banks).iter();
+        timings.map(move |(_, spec)| spec.packet_period_ns(mode))
+    };
     for mode in [ReturnMode::Strongest, ReturnMode::Dual] {
-        let [vlp16, hdl32e] = timings(Banks::One).map(|(_, spec)| spec.packet_period_ns(mode));
-        assert!((0..10_000).all(|us| !(fits(us, vlp16) && fits(us, hdl32e))));
+        let [vlp16, hdl32e, vlp32c] = periods(Banks::One, mode).collect::<Vec<_>>()[..] else {
+            panic!("three timings");
+        };
+        // Two of a VLP-32C take as long as one of a VLP-16: the turn of the head decides.
+        for other in [vlp16, vlp32c] {
+            assert!((0..10_000).all(|us| !(fits(us, other) && fits(us, hdl32e))));
+        }
     }
-    let [fast, slow] =
-        timings(Banks::Alternating).map(|(_, spec)| spec.packet_period_ns(ReturnMode::Strongest));
+    let [fast, slow] = periods(Banks::Alternating, ReturnMode::Strongest).collect::<Vec<_>>()[..]
+    else {
+        panic!("two timings");
+    };
     assert!((0..10_000).all(|us| !(fits(us, fast) && fits(us, slow))));
 }
 
@@ -486,7 +616,13 @@ fn an_hdl64e_is_detected_by_its_heads_and_its_timing_by_the_period() {
         &stamps(VLP16_NS, &[0, 1, 2]),
     );
     assert!(
-        matches!(one_head, Err(DetectError::Layout { heads: false, .. })),
+        matches!(
+            one_head,
+            Err(DetectError::Layout {
+                banks: Banks::One,
+                ..
+            })
+        ),
         "{one_head:?}"
     );
 }

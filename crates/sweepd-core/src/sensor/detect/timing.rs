@@ -12,16 +12,28 @@ const MAX_MULTIPLE: u32 = 4;
 /// and crystals drift.
 const TOLERANCE_NS: u64 = 3_000;
 
-/// Models with different timings, by layout of their blocks; the others share the timing of one of
-/// them.
-pub(super) fn timings(banks: Banks) -> [(Model, &'static Spec); 2] {
-    match banks {
-        // A sensor with one return every 288 us may be an S2 or an S3; one with two is an S3.
-        Banks::Alternating => [
-            (Model::Hdl64eS2, Model::Hdl64eS2.spec()),
-            (Model::Hdl64eS3, Model::Hdl64eS3.specs()[1]),
-        ],
-        _ => [Model::Vlp16, Model::Hdl32e].map(|model| (model, model.spec())),
+/// A timing: the model that it is called by, and its table.
+pub(super) type ModelTiming = (Model, &'static Spec);
+
+/// The timings of sensors with one bank; other models share one of them.
+pub(super) const OF_ONE_BANK: [ModelTiming; 3] = [
+    (Model::Vlp16, Model::Vlp16.spec()),
+    (Model::Hdl32e, Model::Hdl32e.spec()),
+    (Model::Vlp32c, Model::Vlp32c.spec()),
+];
+/// The timings of an HDL-64E. One with one return every 288 us may be an S2 or an S3; one with two
+/// is an S3.
+const OF_TWO_BANKS: [ModelTiming; 2] = [
+    (Model::Hdl64eS2, Model::Hdl64eS2.spec()),
+    (Model::Hdl64eS3, Model::Hdl64eS3.specs()[1]),
+];
+
+/// The timings that packets of this layout may have.
+pub(super) fn timings(banks: Banks) -> &'static [ModelTiming] {
+    match banks.count() {
+        Some(1) => &OF_ONE_BANK,
+        Some(2) => &OF_TWO_BANKS,
+        _ => &[],
     }
 }
 
@@ -60,14 +72,7 @@ pub(super) fn timing_of(model: Model) -> Model {
         Model::Hdl32e => Model::Hdl32e,
         Model::Hdl64eS2 => Model::Hdl64eS2,
         Model::Hdl64eS3 => Model::Hdl64eS3,
-    }
-}
-
-/// How the blocks of a model are laid out.
-pub(super) fn banks_of(model: Model) -> Banks {
-    if model.is_hdl64e() {
-        Banks::Alternating
-    } else {
-        Banks::One
+        Model::Vlp32c => Model::Vlp32c,
+        Model::Vls128 => Model::Vls128,
     }
 }
