@@ -66,13 +66,16 @@ impl std::fmt::Display for Stream {
     }
 }
 
-const STREAMS: [Stream; 6] = [
+const STREAMS: [Stream; 9] = [
     Stream(Model::Vlp16, ReturnMode::Strongest),
     Stream(Model::Vlp16, ReturnMode::Dual),
     Stream(Model::Hdl32e, ReturnMode::Strongest),
     Stream(Model::Hdl32e, ReturnMode::Dual),
     Stream(Model::Hdl64eS2, ReturnMode::Strongest),
     Stream(Model::Hdl64eS3, ReturnMode::Dual),
+    Stream(Model::Vlp32c, ReturnMode::Strongest),
+    Stream(Model::Vls128, ReturnMode::Strongest),
+    Stream(Model::Vls128, ReturnMode::Dual),
 ];
 
 /// Packets to sweeps, without segmentation; items are returns.

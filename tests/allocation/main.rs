@@ -170,7 +170,7 @@ fn the_steady_state_allocates_nothing() {
         shared.len()
     );
     let scene = street(1);
-    for model in [Model::Vlp16, Model::Hdl32e, Model::Hdl64eS3] {
+    for model in [Model::Vlp16, Model::Hdl32e, Model::Hdl64eS3, Model::Vls128] {
         for mode in [ReturnMode::Strongest, ReturnMode::Dual] {
             let config = EmitterConfig::new(model, mode).turns(1.1);
             let turn: Vec<_> = Emitter::new(config, &scene).collect();
