@@ -71,6 +71,7 @@
 #![warn(missing_docs)]
 
 pub mod admission;
+mod beams;
 pub mod capture;
 pub mod cli;
 pub mod cure;

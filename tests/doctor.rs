@@ -254,6 +254,24 @@ fn losses_and_a_limited_view_are_found() {
     assert_eq!(seen.sensors[0].counts.lost, 2);
 }
 
+#[test]
+fn a_beam_that_never_returns_is_found() {
+    let mut sent = vlp16(2.0);
+    for (_, payload) in sent.iter_mut().filter(|(_, payload)| payload.len() == 1206) {
+        stream::blank(payload, 16, 11);
+    }
+    let seen = seen(anything(), None, &[(LOCAL, sent)]);
+    let findings = found(&seen);
+    has(
+        &findings,
+        Severity::Note,
+        Topic::Lasers,
+        "channel 11 (row 2) has not returned for ",
+    );
+    let turns = seen.sensors[0].dark_beams[0].turns;
+    assert_eq!(u64::from(turns), seen.sensors[0].whole_sweeps);
+}
+
 /// Answers a number of requests for web pages with these.
 fn serve(
     pages: Vec<(&'static str, Value)>,

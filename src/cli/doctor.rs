@@ -6,9 +6,11 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use serde::Serialize;
+use serde_json::Value;
 
 use super::CliError;
 use super::options::{Listening, within};
+use crate::beams;
 use crate::daemon::config::Config;
 use crate::doctor::diagnose::sweep_bytes;
 use crate::doctor::plan::HEALTH;
@@ -94,6 +96,7 @@ struct SensorReport {
     packets: u64,
     packets_per_s: f64,
     lost: u64,
+    dark_beams: Value,
 }
 
 /// Examines and reports.
@@ -206,6 +209,7 @@ fn sensor_reports(seen: &Observations) -> Vec<SensorReport> {
         packets: sensor.counts.data,
         packets_per_s: (sensor.counts.data as f64 / seen.seconds).round(),
         lost: sensor.counts.lost,
+        dark_beams: beams::json(&sensor.dark_beams),
     });
     reports.collect()
 }

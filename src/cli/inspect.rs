@@ -1,8 +1,9 @@
-//! `sweepd inspect`: describes a capture by headers, stamps and azimuths, without decoding returns.
+//! `sweepd inspect`: describes a capture by headers, stamps and azimuths, and decodes it to find dark beams.
 
 mod flows;
 mod positions;
 mod status;
+mod turns;
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -12,6 +13,7 @@ use std::path::PathBuf;
 
 use flows::Flows;
 use positions::Positions;
+use turns::Turns;
 
 use super::CliError;
 use crate::admission::{DiscoveredSensors, Route};
@@ -58,7 +60,10 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         match sensors.admit_from(&datagram, placed.topic) {
             Ok((Route::Data(index), packet)) => {
                 if index == streams.len() {
-                    streams.push(DataStream::default());
+                    streams.push(DataStream {
+                        turns: Turns::new().ok(),
+                        ..DataStream::default()
+                    });
                 }
                 streams[index].add(&packet);
             }
@@ -211,6 +216,7 @@ struct DataStream {
     last_mode: Option<ReturnMode>,
     order: Option<PacketOrder>,
     motion: MotionStats,
+    turns: Option<Turns>,
 }
 
 /// Statistics from the order of the packets.
@@ -264,12 +270,15 @@ impl DataStream {
     }
 
     /// Adds a data packet; ignores a position packet.
-    fn add(&mut self, packet: &Packet<'_>) {
-        let arrival_ns = packet.arrival_ns;
-        let Content::Data(packet) = packet.content else {
+    fn add(&mut self, sent: &Packet<'_>) {
+        let arrival_ns = sent.arrival_ns;
+        let Content::Data(packet) = sent.content else {
             return;
         };
         self.add_arrival(arrival_ns);
+        if let Some(turns) = &mut self.turns {
+            turns.add(sent);
+        }
         if packet.banks() == Banks::Alternating {
             let status = self.status.get_or_insert_default();
             status.push(packet.return_mode, packet.product, packet.stamp_us());
@@ -355,6 +364,9 @@ impl DataStream {
         row(text, "data", packets + &rate);
         if let Some(order) = &self.order {
             self.motion.describe(text, order);
+        }
+        if let Some(turns) = &self.turns {
+            turns.describe(text);
         }
         if self.malformed > 0 {
             row(text, "malformed", count_of(self.malformed, "packet"));

@@ -56,7 +56,7 @@ pub enum Command {
     Watch(Box<watch::Args>),
     /// Listen to the sensors, and print faults and how to fix them
     Doctor(doctor::Args),
-    /// Describe a capture without decoding all of it
+    /// Describe a capture: its sensors, their settings and faults
     Inspect(inspect::Args),
     /// Show and compare calibrations, and read that of an HDL-64E from its packets
     Calib(calib::Args),

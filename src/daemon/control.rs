@@ -26,7 +26,7 @@ use super::sensor::Event;
 use super::sharing::Sharing;
 use super::state::{Condition, Message, Observation, Running, Watcher};
 use crate::cure::{Dialect, explain};
-use sweepd_core::pipeline::Notice;
+use sweepd_core::pipeline::{DarkBeam, Notice};
 
 /// Interval between attempts to start: the first, and the longest.
 const RETRY: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(2));
@@ -307,6 +307,9 @@ impl Control {
                 })
                 .iter()
                 .for_each(log);
+            let mut dark = sensor.counters.dark_beams();
+            dark.retain(DarkBeam::is_warning);
+            watcher.observe_beams(dark).iter().for_each(log);
         }
         let hanging = self.pulse.observe(
             now,

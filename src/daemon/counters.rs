@@ -6,7 +6,8 @@ use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, AtomicU32, AtomicU64, O
 
 use super::losses::Tally;
 use crate::admission::Refusal;
-use sweepd_core::pipeline::Counts;
+use sweepd_core::pipeline::{Counts, DarkBeam};
+use sweepd_core::segment::MAX_ROWS;
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::Header;
 use sweepd_core::wire::data::ReturnMode;
@@ -187,6 +188,18 @@ pub struct SensorCounters {
     gps: AtomicU8,
     /// Degrees Celsius plus [`TEMPERATURE_BIAS`]; 0 means "not sent".
     temperature: AtomicI32,
+    dark_beams: DarkBeamsByRow,
+}
+
+/// Channel and turns of the dark beam of each row, in one number so that they belong together; 0 for
+/// one that is not dark.
+#[derive(Debug)]
+struct DarkBeamsByRow([AtomicU64; MAX_ROWS]);
+
+impl Default for DarkBeamsByRow {
+    fn default() -> Self {
+        Self([const { AtomicU64::new(0) }; MAX_ROWS])
+    }
 }
 
 /// Added to a temperature, so that 0 can mean none.
@@ -251,6 +264,33 @@ impl SensorCounters {
             refused,
             ..Tally::default()
         }
+    }
+
+    /// Notes which beams are dark, after a sweep.
+    pub fn set_dark_beams(&self, dark: impl Iterator<Item = DarkBeam>) {
+        let mut by_row = [0; MAX_ROWS];
+        for beam in dark {
+            by_row[beam.row as usize] = u64::from(beam.channel) << 32 | u64::from(beam.turns);
+        }
+        for (noted, number) in self.dark_beams.0.iter().zip(by_row) {
+            noted.store(number, Relaxed);
+        }
+    }
+
+    /// The dark beams as of the newest sweep, from the highest down.
+    pub fn dark_beams(&self) -> Vec<DarkBeam> {
+        let mut dark = Vec::new();
+        for (row, noted) in self.dark_beams.0.iter().enumerate() {
+            let number = noted.load(Relaxed);
+            if number != 0 {
+                dark.push(DarkBeam {
+                    row: row as u32,
+                    channel: (number >> 32) as u32,
+                    turns: number as u32,
+                });
+            }
+        }
+        dark
     }
 
     /// The times of a stage.
@@ -387,5 +427,19 @@ mod tests {
         }
         counters.set_gps(Gps::Locked);
         assert_eq!(counters.gps(), Some(Gps::Locked));
+    }
+
+    #[test]
+    fn dark_beams_are_those_of_the_newest_sweep() {
+        let counters = SensorCounters::default();
+        let dark = [(0, 127, 10), (127, 0, u32::MAX)].map(|(row, channel, turns)| DarkBeam {
+            row,
+            channel,
+            turns,
+        });
+        counters.set_dark_beams(dark.into_iter());
+        assert_eq!(counters.dark_beams(), dark);
+        counters.set_dark_beams(dark.into_iter().skip(1));
+        assert_eq!(counters.dark_beams(), dark[1..]);
     }
 }

@@ -1,6 +1,7 @@
 //! How the daemon is: every sensor and port, with reasons, as `/health` has it.
 
 use crate::admission::Refusal;
+use crate::beams;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
@@ -185,6 +186,7 @@ fn sensor(sensor: &SensorStatus, is: &Condition) -> Value {
         "returns": counters.return_mode().map(|mode| if mode == ReturnMode::Dual { 2 } else { 1 }),
         "temperature_c": counters.temperature_c(),
         "gps": counters.gps().map(|gps| gps.word()),
+        "dark_beams": beams::json(&counters.dark_beams()),
         "packets": counters.data.get(),
         "position_packets": counters.position.get(),
         "refused": counters.refused.get(),

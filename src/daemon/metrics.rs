@@ -18,6 +18,7 @@ use super::health::View;
 use super::record::RecordingsStatus;
 use super::runtime::{PortStatus, SensorStatus};
 use super::state::{Condition, State};
+use sweepd_core::pipeline::DarkBeam;
 
 /// What [`encode`] writes.
 pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -233,6 +234,12 @@ impl Snapshot {
         self.by_sensor(encoder, "gps_locked", help, |one| {
             let is_locked = one.counters.gps()? == Gps::Locked;
             Some(Now(u8::from(is_locked).into()))
+        })?;
+        let help = "Beams that have not returned for 1000 turns, though those next to them have";
+        self.by_sensor(encoder, "dark_beams", help, |one| {
+            let mut dark = one.counters.dark_beams();
+            dark.retain(DarkBeam::is_warning);
+            Some(Now(dark.len() as f64))
         })?;
         self.losses_and_states(encoder)
     }

@@ -1,6 +1,7 @@
 //! One sensor on the thread of its port: pushes its packets through its pipeline, publishes its
 //! sweeps, and reports events.
 
+use std::iter;
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
 
@@ -192,6 +193,8 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         let fresh = Pipeline::new(&self.address, config.clone())?.timed_by(monotonic_ns);
         let before = std::mem::replace(&mut self.pipeline, fresh);
         self.counted += before.counts();
+        // They are counted anew.
+        self.counters.set_dark_beams(iter::empty());
         self.pipeline.expect_unit(before.into_unit());
         self.config = config;
         self.run_ns = realtime_ns();
@@ -232,6 +235,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         });
         self.dropped_before = dropped;
         self.count(header);
+        self.counters.set_dark_beams(self.pipeline.dark_beams());
         self.publish_held();
         self.publish(sweep, completed_monotonic_ns);
     }

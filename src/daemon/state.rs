@@ -5,6 +5,8 @@ use std::fmt;
 use std::time::Duration;
 
 use super::losses::{Level, Limits, Losses, Recent, SensorAddress, Tally, Turn};
+use crate::beams;
+use sweepd_core::pipeline::DarkBeam;
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::data::ReturnMode;
 
@@ -160,6 +162,8 @@ pub struct Watcher {
     /// Whether it was logged that no packets come at all.
     has_hinted: bool,
     is_off_speed: bool,
+    /// The beams that have been dark for so long that people are to be warned.
+    dark: Vec<DarkBeam>,
     /// Model and mode as last logged.
     told: Option<(Model, ReturnMode)>,
 }
@@ -186,6 +190,7 @@ impl Watcher {
             newest_sweep: now,
             has_hinted: false,
             is_off_speed: false,
+            dark: Vec::new(),
             told: None,
         }
     }
@@ -240,24 +245,27 @@ impl Watcher {
     /// Why the sensor is not well; `None` where it is.
     pub fn complaint(&self) -> Option<String> {
         match (self.state(), &self.hindrance) {
-            (State::Streaming, _) => self.is_off_speed.then(|| self.off_speed()),
-            (State::Losing | State::LosingMany, _) => {
-                let losses = self
-                    .losses
-                    .recent()
-                    .map(|recent| recent.sentence(&self.place))
-                    .unwrap_or_default();
-                Some(if self.is_off_speed {
-                    format!("{losses}; it {}", self.off_speed())
-                } else {
-                    losses
-                })
-            }
+            (State::Streaming | State::Losing | State::LosingMany, _) => self.shortcomings(),
             (State::Waiting | State::Stalled, _) => Some(self.silence()),
             (State::WrongModel, Some(Hindrance::WrongModel(why))) => Some(why.clone()),
             (State::NoCalibration, _) => Some(NO_CALIBRATION.to_owned()),
             (State::SpinningUp | State::WrongModel, _) => Some(NO_SWEEP.to_owned()),
         }
+    }
+
+    /// What is not as it should be while packets come; `None` if nothing.
+    fn shortcomings(&self) -> Option<String> {
+        let mut all = Vec::new();
+        let loses = matches!(self.state(), State::Losing | State::LosingMany);
+        if let Some(recent) = self.losses.recent().filter(|_| loses) {
+            all.push(recent.sentence(&self.place));
+        }
+        if self.is_off_speed {
+            let it = if loses { "it " } else { "" };
+            all.push(format!("{it}{}", self.off_speed()));
+        }
+        all.extend(beams::sentence(&self.dark));
+        (!all.is_empty()).then(|| all.join("; "))
     }
 
     /// The pipeline reports why it decodes nothing. The message for the log comes with the next
@@ -307,6 +315,19 @@ impl Watcher {
         messages.extend(running.and_then(|running| self.watch_speed(running.rpm)));
         messages.extend(self.observe_losses(now));
         messages
+    }
+
+    /// Takes the beams that have been dark for so long that people are to be warned, and gives a
+    /// message if there are others than before.
+    pub fn observe_beams(&mut self, dark: Vec<DarkBeam>) -> Option<Message> {
+        let was = std::mem::replace(&mut self.dark, dark);
+        let is_new = |beam: &DarkBeam| was.iter().all(|before| before.row != beam.row);
+        if self.dark.iter().any(is_new) {
+            let sentence = beams::sentence(&self.dark)?;
+            return Some(self.message(true, &sentence));
+        }
+        let is_over = self.dark.is_empty() && !was.is_empty();
+        is_over.then(|| self.message(false, BEAMS_ARE_BACK))
     }
 
     fn next(&self, now: &Observation, has_swept: bool) -> State {
@@ -416,6 +437,7 @@ impl Watcher {
 }
 
 const NO_CALIBRATION: &str = "an HDL-64E without a calibration file: the one in its packets is awaited, which takes some 2 s of them";
+const BEAMS_ARE_BACK: &str = "the beams that had not returned do again, or are counted anew";
 const NO_SWEEP: &str =
     "packets come and no whole turn at a steady speed: does its head turn, and is its motor set?";
 
@@ -671,6 +693,54 @@ mod tests {
             (is.state, is.complaint, is.is_fault, is.losses),
             (State::Streaming, None, false, None)
         );
+    }
+
+    #[test]
+    fn a_beam_that_is_dark_for_long_is_a_warning_and_logged_once() {
+        let mut roof = Watched::new(Some(600.0));
+        roof.observe(5, 75, 1);
+        let dark = |channel: u32, turns| DarkBeam {
+            row: channel + 1,
+            channel,
+            turns,
+        };
+        let sentence = "channel 82 (row 83) has not returned for 1,000 turns, though the beams next to it have";
+        let told = roof.watcher.observe_beams(vec![dark(82, 1000)]).unwrap();
+        assert!(told.is_warning);
+        assert_eq!(told.text, format!("roof: {sentence}"));
+        let is = roof.watcher.condition();
+        assert_eq!((is.state, is.is_fault), (State::Streaming, false));
+        assert_eq!(is.complaint.as_deref(), Some(sentence));
+        // The same beam a turn later is no news, a second one is, and one of two that is back is
+        // not.
+        assert_eq!(roof.watcher.observe_beams(vec![dark(82, 1001)]), None);
+        let both = vec![dark(9, 1000), dark(82, 1002)];
+        assert!(roof.watcher.observe_beams(both).unwrap().is_warning);
+        assert_eq!(roof.watcher.observe_beams(vec![dark(9, 1001)]), None);
+        // Beside another speed and losses it is told last.
+        roof.turn(Running {
+            rpm: 500.0,
+            ..RUNNING
+        });
+        lose(&mut roof, 10, 5);
+        let complaint = roof.watcher.complaint().unwrap();
+        assert!(
+            complaint.contains("; it turns at 500 rpm")
+                && complaint.ends_with("; channel 9 (row 10) has not returned for 1,001 turns, though the beams next to it have"),
+            "{complaint}"
+        );
+        roof.turn(RUNNING);
+        lose(&mut roof, 10, 0);
+        let told = roof.watcher.observe_beams(Vec::new()).unwrap();
+        assert_eq!(
+            (told.is_warning, &told.text[..]),
+            (
+                false,
+                "roof: the beams that had not returned do again, or are counted anew"
+            )
+        );
+        assert_eq!(roof.watcher.observe_beams(Vec::new()), None);
+        assert_eq!(roof.watcher.complaint(), None);
     }
 
     #[test]

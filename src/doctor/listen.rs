@@ -229,6 +229,7 @@ impl DecodedSensor {
 
     fn finish(mut self) -> ObservedSensor {
         self.observed.counts = self.pipeline.counts();
+        self.observed.dark_beams = self.pipeline.dark_beams().collect();
         if let Some(detection) = self.pipeline.detection() {
             self.observed.model = Some(detection.model);
             self.observed

@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::plan::{ExaminedPort, ExpectedSensor, Plan};
 use crate::capture::udp::ReceiveBuffer;
-use sweepd_core::pipeline::Counts;
+use sweepd_core::pipeline::{Counts, DarkBeam};
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::data::ReturnMode;
 use sweepd_core::wire::position::Pps;
@@ -130,6 +130,8 @@ pub struct ObservedSensor {
     pub rpm: Option<(f32, f32)>,
     /// Bits of [`flags`](sweepd_core::sweep::layout::flags) that any sweep but the first had.
     pub flags: u32,
+    /// Beams that are dark at the end.
+    pub dark_beams: Vec<DarkBeam>,
     /// How far the host's clock is ahead of UTC by GPS, seconds, where GPS vouches for it.
     pub host_ahead_s: Option<f64>,
 }
@@ -148,6 +150,7 @@ impl ObservedSensor {
             whole_sweeps: 0,
             rpm: None,
             flags: 0,
+            dark_beams: Vec::new(),
             host_ahead_s: None,
         }
     }

@@ -1,6 +1,8 @@
 //! What `sweepd inspect` tells.
 
+use crate::common::data_dir;
 use crate::{Folder, fixture, inspect, made};
+use sweepd_lab::testkit::stream;
 
 /// The value of a row of the text.
 fn row<'a>(text: &'a str, name: &str) -> &'a str {
@@ -94,4 +96,50 @@ fn a_change_of_return_mode_and_shared_addresses_are_reported() {
         row(&text, "position").ends_with("of all sensors at this address"),
         "{text}"
     );
+}
+
+#[test]
+fn a_beam_that_never_returns_is_told() {
+    let folder = Folder::new("dark");
+    let mut sent = made::vlp16();
+    let whole = inspect(&folder.write("whole.pcap", made::pcap(&sent))).done();
+    assert!(!whole.contains("dark beams"), "{whole}");
+    for one in sent.iter_mut().filter(|one| one.is_data()) {
+        stream::blank(&mut one.payload, 16, 11);
+    }
+    let text = inspect(&folder.write("dark.pcap", made::pcap(&sent))).done();
+    assert_eq!(
+        row(&text, "dark beams"),
+        "channel 11 (row 2) has not returned for 3 turns, though the beams next to it have"
+    );
+}
+
+/// The laser of channel 82 of this VLS-128 is dead, and that of channel 11 of this HDL-32E.
+#[test]
+#[cfg_attr(without_captures, ignore = "no captures")]
+fn the_dark_beams_of_real_captures_are_named_and_no_others() {
+    let mut named = Vec::new();
+    let pcaps = std::fs::read_dir(data_dir().join("pcap")).unwrap();
+    for path in pcaps.map(|entry| entry.unwrap().path()) {
+        let text = inspect(&path).stdout;
+        if text.contains("dark beams") {
+            let name = path.file_name().unwrap().to_str().unwrap().to_owned();
+            named.push((name, row(&text, "dark beams").to_owned()));
+        }
+    }
+    named.sort();
+    let told = |beam, turns| {
+        format!("{beam} has not returned for {turns}, though the beams next to it have")
+    };
+    let expected = [
+        (
+            "hdl32e_mrpt-sample.pcap",
+            told("channel 11 (row 10)", "2 turns"),
+        ),
+        (
+            "vls128_nebula-a.pcap",
+            told("channel 82 (row 105)", "1 turn"),
+        ),
+    ];
+    assert_eq!(named, expected.map(|(name, told)| (name.to_owned(), told)));
 }

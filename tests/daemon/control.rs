@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode;
+use sweepd_lab::testkit::stream::blank;
 
 use crate::child::{Daemon, is_free, write};
 use crate::rig::{Sending, cool_stream_without_gps, free_port, stream, until};
@@ -287,6 +288,34 @@ fn health_and_metrics_give_the_state_of_the_sensors() {
         health["reasons"][1].as_str().unwrap().starts_with(why),
         "{health}"
     );
+}
+
+#[test]
+fn health_tells_a_beam_that_does_not_return_and_forgets_it_when_it_does() {
+    let port = free_port();
+    let mut daemon = Daemon::start(&[[83, port, port]], free_port(), WATCHDOG);
+    daemon.until_ready();
+    let mut sent = stream(Model::Vlp16, ReturnMode::Strongest, 60.0);
+    let until_turn_25 = Duration::from_millis(2500);
+    for one in sent
+        .iter_mut()
+        .filter(|one| one.is_data && one.after < until_turn_25)
+    {
+        blank(&mut one.payload, 16, 11);
+    }
+    let _sending = Sending::start(83, (port, port), sent);
+    let dark = || daemon.health().1["sensors"][0]["dark_beams"].clone();
+    until("it is told", || {
+        let beam = &dark()[0];
+        (&beam["channel"], &beam["row"]) == (&11.into(), &2.into())
+            && beam["turns"].as_u64() >= Some(12)
+    });
+    let (status, health) = daemon.health();
+    assert_eq!((status, &health["status"]), (200, &"ok".into()));
+    assert_eq!(daemon.metrics()["sweepd_dark_beams{sensor=\"s83\"}"], 0.0);
+    until("it returns", || dark() == serde_json::json!([]));
+    daemon.signal("-TERM");
+    assert!(daemon.end().success());
 }
 
 #[test]

@@ -6,6 +6,7 @@ mod capture;
 mod cloud;
 #[path = "../common/mod.rs"]
 mod common;
+mod dark_beams;
 mod decode;
 mod detect;
 mod determinism;

@@ -13,6 +13,7 @@
 //! [`Pipeline::segment_early`].
 
 mod config;
+mod dark_beams;
 mod decoding;
 mod identify;
 mod report;
@@ -20,6 +21,7 @@ mod state;
 mod timed;
 
 pub use config::Config;
+pub use dark_beams::DarkBeam;
 pub use report::{Counts, Fault, Notice};
 pub use timed::TimedSegmenter;
 
@@ -30,6 +32,7 @@ use crate::sensor::unit::Unit;
 use crate::sweep::buffers::OpenBuffer;
 use crate::sweep::{Buffers, Memory, SweepMut};
 use crate::wire::{Content, Packet, TIMES_NS};
+use dark_beams::DarkBeams;
 use decoding::LatePacket;
 use fearless_simd::Level;
 use identify::{Handover, NumberedPacket, Setup};
@@ -41,6 +44,7 @@ pub struct Pipeline {
     setup: Setup,
     state: State,
     segmenter: TimedSegmenter,
+    dark_beams: DarkBeams,
     /// The clock that times the stages, nanoseconds since any fixed moment.
     clock: fn() -> i64,
     /// Ordinal of the next data packet.
@@ -77,6 +81,7 @@ impl Pipeline {
                 level,
             },
             segmenter: TimedSegmenter::new(segmenter, untimed),
+            dark_beams: DarkBeams::default(),
             clock: untimed,
             next_number: 0,
             events: Events::default(),
@@ -203,10 +208,12 @@ impl Pipeline {
             self.state = State::detecting(self.setup.config.model, handover);
             // The next sensor may sit elsewhere.
             self.segmenter.forget_height();
+            self.dark_beams = DarkBeams::default();
         }
     }
 
-    /// Takes a step of the segmenter with a whole sweep, in place; writes where the sensor sits.
+    /// Takes a step of the segmenter with a whole sweep, in place; writes where the sensor sits, and
+    /// looks for dark beams.
     fn complete(
         &mut self,
         buffer: &mut dyn OpenBuffer,
@@ -218,6 +225,7 @@ impl Pipeline {
         step(&mut self.segmenter, &mut sweep);
         sweep.header.position_m = self.setup.config.position_m;
         sweep.header.yaw_rad = self.setup.config.yaw_rad;
+        self.dark_beams.look(&sweep.as_ref());
     }
 
     /// Ground and joins of what is there of the open sweep: so there is little left to do when the
@@ -281,6 +289,12 @@ impl Pipeline {
         unit.forget_comparison();
         // One that is being exchanged is asked again: what it said so far may be of two.
         Some(unit).filter(Unit::is_settled)
+    }
+
+    /// Beams that no longer return, though those next to them do, from the highest down: see
+    /// [`DarkBeam`]. The counts begin anew with another sensor.
+    pub fn dark_beams(&self) -> impl Iterator<Item = DarkBeam> {
+        self.dark_beams.iter()
     }
 
     /// When the packet that completes the open sweep will arrive at the earliest, if the head goes

@@ -12,6 +12,7 @@ use serde_json::Value;
 
 use super::observe::{Observations, PortResult};
 use super::{Finding, Severity, Topic};
+use crate::beams;
 
 /// Least percentage of missing packets in a running daemon's last seconds that is reported.
 const LEAST_LOSS_PERCENT: f64 = 0.1;
@@ -124,6 +125,7 @@ fn daemon(health: &Value, findings: &mut Findings) {
     }
     for sensor in elements(&health["sensors"]) {
         losses(sensor, findings);
+        dark_beams(sensor, findings);
     }
     for port in elements(&health["ports"]) {
         let dropped = port["dropped"].as_u64().unwrap_or(0);
@@ -196,6 +198,16 @@ fn losses(sensor: &Value, findings: &mut Findings) {
         let name = clean(&sensor["name"]).unwrap_or_else(|| "a sensor".to_owned());
         let cure = clean(&losses["cure"]).unwrap_or_default();
         findings.warning(Topic::Loss, format!("{name}: {what}"), cure);
+    }
+}
+
+/// Beams that have not been dark for long enough for a warning of the daemon.
+fn dark_beams(sensor: &Value, findings: &mut Findings) {
+    let mut dark = beams::from_json(&sensor["dark_beams"]);
+    dark.retain(|beam| !beam.is_warning());
+    if let Some(sentence) = beams::sentence(&dark) {
+        let name = clean(&sensor["name"]).unwrap_or_else(|| "a sensor".to_owned());
+        findings.note(Topic::Lasers, format!("{name}: {sentence}"), beams::CURE);
     }
 }
 

@@ -3,9 +3,11 @@
 use std::fmt::Display;
 
 use super::Findings;
+use crate::beams;
 use crate::doctor::observe::{Observations, ObservedSensor, PortResult, PositionSender};
 use crate::doctor::plan::ExpectedSensor;
 use crate::doctor::{Severity, Topic};
+use sweepd_core::pipeline::DarkBeam;
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::layout::flags;
 use sweepd_core::wire::data::ReturnMode;
@@ -48,6 +50,7 @@ pub(super) fn find(seen: &Observations, findings: &mut Findings) {
             check.speed();
             check.loss(seen);
             check.settings();
+            check.beams();
             check.clock(seen.position_sender(sensor.source.ip()));
         }
     }
@@ -255,6 +258,17 @@ impl SensorCheck<'_> {
                 "the head turns counter-clockwise seen from above, as no Velodyne does",
                 "a recording that is played backwards looks like this",
             );
+        }
+    }
+
+    fn beams(&mut self) {
+        let dark = &self.sensor.dark_beams;
+        if let Some(sentence) = beams::sentence(dark) {
+            let severity = match dark.iter().any(DarkBeam::is_warning) {
+                true => Severity::Warning,
+                false => Severity::Note,
+            };
+            self.add(severity, Topic::Lasers, sentence, beams::CURE);
         }
     }
 

@@ -10,7 +10,7 @@ use crate::doctor::observe::{
     Host, Interface, ObservedPort, ObservedSensor, PositionSender, RootTrouble, Web,
 };
 use crate::doctor::plan::{ExaminedPort, ExpectedSensor, HEALTH, Plan};
-use sweepd_core::pipeline::Counts;
+use sweepd_core::pipeline::{Counts, DarkBeam};
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::layout::flags;
 use sweepd_core::wire::data::ReturnMode;
@@ -308,6 +308,55 @@ fn position_packets_alone_are_no_sensor() {
         Severity::Error,
         Topic::Lasers,
         &["switch them on"],
+    );
+}
+
+#[test]
+fn a_dark_beam_is_a_note_and_a_warning_after_1000_turns() {
+    let beam = |turns| DarkBeam {
+        row: 41,
+        channel: 82,
+        turns,
+    };
+    let told = "roof (192.168.1.201:2368): channel 82 (row 41) has not returned for";
+    for (turns, severity) in [(48, Severity::Note), (1000, Severity::Warning)] {
+        with(
+            |seen| seen.sensors[0].dark_beams = vec![beam(turns)],
+            severity,
+            Topic::Lasers,
+            &[told, "clean the window"],
+        );
+    }
+    // A daemon warns itself of those that have been dark for long.
+    let mut seen = healthy();
+    seen.daemon = Some(Ok(json!({
+        "status": "warning",
+        "reasons": ["roof: streaming: channel 3 has not returned"],
+        "sensors": [{
+            "name": "roof",
+            "state": "streaming",
+            "is_fault": false,
+            "reason": "channel 3 has not returned",
+            "dark_beams": beams::json(&[DarkBeam { channel: 3, ..beam(1000) }, beam(999)]),
+        }],
+    })));
+    let findings = diagnose(&seen);
+    holds(
+        &findings[0],
+        Severity::Warning,
+        Topic::Daemon,
+        &["channel 3 has not returned"],
+    );
+    let notes: Vec<&Finding> = findings
+        .iter()
+        .filter(|finding| finding.topic == Topic::Lasers)
+        .collect();
+    assert_eq!(notes.len(), 1);
+    holds(
+        notes[0],
+        Severity::Note,
+        Topic::Lasers,
+        &["roof: channel 82 (row 41) has not returned for 999 turns"],
     );
 }
 

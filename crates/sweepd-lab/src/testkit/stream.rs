@@ -131,6 +131,20 @@ impl Spin {
     }
 }
 
+/// Takes the returns of a channel out of a data packet of a sensor with this number of channels.
+pub fn blank(payload: &mut [u8], channels: usize, channel: usize) {
+    for block in payload[..1200].chunks_exact_mut(100) {
+        // The flags of the banks are 0xEEFF, 0xDDFF, 0xCCFF and 0xBBFF.
+        let bank = usize::from(0xEE_u8.saturating_sub(block[1]) / 0x11) * 32;
+        for (index, record) in block[4..].chunks_exact_mut(3).enumerate() {
+            // A block may hold a channel twice.
+            if (bank + index) % channels == channel {
+                record[..2].fill(0);
+            }
+        }
+    }
+}
+
 /// One in four shots sees nothing.
 fn record(rng: &mut fastrand::Rng) -> Record {
     let distance = if rng.u8(..) < 64 {

@@ -1,0 +1,42 @@
+//! The turns of a sensor, decoded to find dark beams.
+
+use crate::beams;
+use crate::text::row;
+use sweepd_core::pipeline::{Config, DarkBeam, Pipeline};
+use sweepd_core::segment::ConfigError;
+use sweepd_core::sweep::{HeapBuffers, Memory};
+use sweepd_core::wire::Packet;
+
+/// Decodes the sweeps of a sensor.
+pub struct Turns {
+    pipeline: Pipeline,
+    memory: Memory<HeapBuffers>,
+}
+
+impl Turns {
+    /// None so far.
+    ///
+    /// # Errors
+    /// Never: the configuration is possible.
+    pub fn new() -> Result<Self, ConfigError> {
+        Ok(Self {
+            pipeline: Pipeline::new("", Config::default())?,
+            memory: Memory::default(),
+        })
+    }
+
+    /// Adds a packet.
+    pub fn add(&mut self, packet: &Packet<'_>) {
+        // What cannot be decoded is told with the model.
+        let _ = self.pipeline.push(packet);
+        while self.pipeline.poll_unlabelled(&mut self.memory).is_some() {}
+    }
+
+    /// Adds a row for the beams that are dark at the end, if there are any.
+    pub fn describe(&self, text: &mut String) {
+        let dark: Vec<DarkBeam> = self.pipeline.dark_beams().collect();
+        if let Some(sentence) = beams::sentence(&dark) {
+            row(text, "dark beams", sentence);
+        }
+    }
+}
