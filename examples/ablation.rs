@@ -424,7 +424,7 @@ fn print_defaults() {
         |of: &dyn Fn(usize) -> f32| STEPS.map(|step| of(64 / step).to_string()).join(" / ");
     let (rises, gaps) = (
         by_rows(&|rows| slope.max_rise_m(rows)),
-        by_rows(&|rows| joining.gap_m(rows)),
+        by_rows(&|rows| joining.gap_m(rows == 64)),
     );
     println!(
         "Defaults: {}, `max_rise_m` {rises} (64 / 32 / 16 rows);\n`columns` {columns}, `rows` {rows}, `gap_m` {gaps}, `small_points` {small_points}, \

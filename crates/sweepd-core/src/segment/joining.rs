@@ -2,8 +2,8 @@
 
 use std::f32::consts::TAU;
 
-use super::order::{DENSE_ROWS, MOST_COLUMNS, Order, STRIP};
-use crate::sweep::Column;
+use super::order::{MOST_COLUMNS, Order, STRIP};
+use crate::sweep::{BeamRow, Column};
 
 /// What is joined.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -12,7 +12,7 @@ pub struct Joining {
     pub columns: usize,
     /// Rows that two points may be apart, 1 to 8.
     pub rows: usize,
-    /// Distance that two points may be apart, metres; `None` chooses by the rows of the image: see
+    /// Distance that two points may be apart, metres; `None` chooses by how far rows are apart: see
     /// [`Joining::gap_m`].
     pub gap_m: Option<f32>,
     /// A component of fewer points is part of another one near by; 0 or 1 leaves all alone.
@@ -34,12 +34,25 @@ impl Default for Joining {
 }
 
 impl Joining {
-    /// Distance that two points of an image of this many rows may be apart, metres: the configured
-    /// one, else 0.59 where beams are dense, and 0.785 where they are sparse.
-    pub fn gap_m(&self, rows: usize) -> f32 {
-        self.gap_m
-            .unwrap_or(if rows >= DENSE_ROWS { 0.59 } else { 0.785 })
+    /// Distance that two points of an image may be apart, metres: the configured one, else 0.59
+    /// where [beams are dense](are_dense), and 0.785 where they are sparse.
+    pub fn gap_m(&self, are_dense: bool) -> f32 {
+        self.gap_m.unwrap_or(if are_dense { 0.59 } else { 0.785 })
     }
+}
+
+/// Rows of dense beams are no further apart than this, degrees: those of an HDL-64E are 0.3 to 0.5
+/// apart, those of an HDL-32E 1.33.
+const DENSE_DEG: f32 = 0.6;
+
+/// Whether beams are dense: most rows are near to the next one. The number of rows does not tell:
+/// of the 32 of a VLP-32C, 18 are 0.33 degrees apart.
+pub fn are_dense(beams: &[BeamRow]) -> bool {
+    let is_near = |pair: &&[BeamRow]| {
+        (pair[0].elevation_rad - pair[1].elevation_rad).abs() <= DENSE_DEG.to_radians()
+    };
+    let near = beams.windows(2).filter(is_near).count();
+    2 * near >= beams.len().max(2) - 1
 }
 
 /// Columns whose azimuths are further apart than this many pitches are no neighbours.

@@ -29,6 +29,7 @@
 use fearless_simd::{Simd, i16x16, mask16x16, prelude::*, u16x16};
 
 use super::config::Config;
+use super::joining::are_dense;
 use super::order::LANES;
 use super::ranges::STEPS;
 use crate::sweep::BeamRow;
@@ -173,7 +174,7 @@ impl Limits {
             let half_rad = pitch_rad * columns as f32 / 2.0;
             4.0 * half_rad.sin() * half_rad.sin()
         });
-        let gap_m = config.joining.gap_m(beams.len());
+        let gap_m = config.joining.gap_m(are_dense(beams));
         self.gap = Polygon::new(gap_m);
         self.reach = Polygon::new(gap_m + config.joining.small_reach_m);
         self.window_rows = config.joining.rows;

@@ -110,7 +110,7 @@ pub const SETTINGS: &[Setting] = &[
         doc: "Two returns of a segment are no further apart than this, metres",
         unit: Unit::Metres,
         range: 0.05..=5.0,
-        absent: "0.59 from 48 rows on, else 0.785",
+        absent: "0.59 where most rows are at most 0.6 degrees apart, else 0.785",
         field: |config| Field::Optional(&mut config.joining.gap_m),
     },
     Setting {
