@@ -4,34 +4,18 @@
 use crate::common;
 use crate::common::raw;
 use crate::common::run::{Placed, Run};
+use std::ops::RangeInclusive;
 use sweepd::sensor::Model;
+use sweepd::simulate::{Emitter, EmitterConfig, Faults, FieldOfView, deliver, fixtures};
+use sweepd::sweep::layout::flags::LOSS_ESTIMATED;
 use sweepd::wire::data::ReturnMode;
 
 const VLP32C: &str = "vlp32c_nebula-fov180-a";
 const VLS128: &str = "vls128_nebula-a";
 
-/// A revolution: firings between azimuths that drop by more than half a turn.
-#[derive(Debug, Default, PartialEq)]
-struct Revolution {
-    firings: u32,
-    returns: u32,
-    raw_distances: u64,
-    reflectivities: u64,
-}
-
-const fn revolution(
-    firings: u32,
-    returns: u32,
-    raw_distances: u64,
-    reflectivities: u64,
-) -> Revolution {
-    Revolution {
-        firings,
-        returns,
-        raw_distances,
-        reflectivities,
-    }
-}
+/// A revolution, which ends where azimuths drop by more than half a turn: firings, returns, sum of
+/// raw distances, sum of reflectivities.
+type Revolution = [u64; 4];
 
 /// A point of the second revolution: its number there, where it stood on the wire, its row, and
 /// what the sensor said.
@@ -83,7 +67,7 @@ fn in_order(
                 revolutions.push(Revolution::default());
             }
             before = azimuth;
-            revolutions.last_mut().unwrap().firings += 1;
+            revolutions.last_mut().unwrap()[0] += 1;
             of_firing.push(revolutions.len() - 1);
         }
     }
@@ -105,10 +89,12 @@ fn in_order(
         )
     });
     for (index, placed) in &returns {
-        let revolution = &mut revolutions[*index];
-        revolution.returns += 1;
-        revolution.raw_distances += (f64::from(placed.found.range_m) / 0.004).round() as u64;
-        revolution.reflectivities += u64::from(placed.found.reflectivity);
+        let found = &placed.found;
+        let raw = (f64::from(found.range_m) / 0.004).round() as u64;
+        let sums = revolutions[*index][1..].iter_mut();
+        for (sum, one) in sums.zip([1, raw, found.reflectivity.into()]) {
+            *sum += one;
+        }
     }
     // Every return of the wire is in one pixel: none twice.
     for pair in returns.windows(2) {
@@ -194,9 +180,9 @@ fn a_real_vlp32c_is_decoded_to_known_counts_sums_and_points() {
         VLP32C,
         1,
         [
-            revolution(451, 13_974, 17_654_666, 675_094),
-            revolution(909, 26_224, 30_501_433, 1_204_427),
-            revolution(464, 12_463, 13_013_947, 540_460),
+            [451, 13_974, 17_654_666, 675_094],
+            [909, 26_224, 30_501_433, 1_204_427],
+            [464, 12_463, 13_013_947, 540_460],
         ],
         &[(0, &rows)],
         &[
@@ -236,9 +222,9 @@ fn a_real_vls128_is_decoded_to_known_counts_sums_and_points() {
         VLS128,
         4,
         [
-            revolution(1147, 135_541, 926_972_101, 2_587_358),
-            revolution(1810, 210_030, 1_785_730_932, 3_649_063),
-            revolution(1, 123, 523_417, 3_217),
+            [1147, 135_541, 926_972_101, 2_587_358],
+            [1810, 210_030, 1_785_730_932, 3_649_063],
+            [1, 123, 523_417, 3_217],
         ],
         &[(0, &top), (100, &bottom)],
         &[
@@ -310,4 +296,72 @@ fn a_pole_stands_in_the_image_of_a_vls128() {
     let worst = off.map(f64::abs).fold(0.0, f64::max);
     println!("{count} rows, {rms:.2} columns rms, {worst:.2} at most");
     assert!(rms < 0.5 && worst < 1.5, "{rms} rms, {worst} at most");
+}
+
+/// A simulated VLS-128, which rests for a random time after each firing, and what a network lost.
+fn vls128_that_lost(config: EmitterConfig, lost: &[RangeInclusive<u64>]) -> Run {
+    let scene = fixtures::scene();
+    let faults = Faults {
+        lost: lost.to_vec(),
+        ..Faults::default()
+    };
+    let sent: Vec<_> = deliver(Emitter::new(config, &scene).untold(), faults).collect();
+    Run::of_datagrams(sent.iter().map(|one| one.datagram()))
+}
+
+#[test]
+fn losses_are_counted_though_packets_have_no_steady_period() {
+    for mode in [ReturnMode::Strongest, ReturnMode::Dual] {
+        let config = EmitterConfig::new(Model::Vls128, mode).turns(2.3);
+        let short = [
+            90..=90,
+            150..=152,
+            300..=314,
+            700..=700,
+            702..=703,
+            1200..=1215,
+        ];
+        let run = vls128_that_lost(config.clone(), &short);
+        assert_eq!(run.counts.lost, 38, "{mode}");
+        let is_flagged = |run: &Run| {
+            run.views()
+                .iter()
+                .any(|view| view.header.has(LOSS_ESTIMATED))
+        };
+        assert!(!is_flagged(&run), "{mode}");
+        // A third of a turn may as well be a sector that was left out.
+        let third = 33_000_000 / u64::from(config.spec.packet_period_ns(mode));
+        let run = vls128_that_lost(config, &[600..=599 + third]);
+        assert_eq!(run.counts.lost, third, "{mode}");
+        assert!(is_flagged(&run), "{mode}");
+    }
+}
+
+/// The silence of the first turn may be loss, and is flagged; when it comes again it is none.
+#[test]
+fn a_sector_that_is_left_out_is_no_loss_from_the_second_turn_on() {
+    for mode in [ReturnMode::Strongest, ReturnMode::Dual] {
+        let mut config = EmitterConfig::new(Model::Vls128, mode).turns(6.3);
+        config.fov = Some(FieldOfView {
+            from_deg: 90.0,
+            to_deg: 270.0,
+            set_ns: [0, i64::MAX],
+        });
+        let run = vls128_that_lost(config, &[]);
+        let views = run.views();
+        assert!(views.len() >= 6, "{mode}: {}", views.len());
+        for (number, view) in views.iter().enumerate() {
+            let lost = view.header.lost_packets;
+            // A sweep may hold either end of the silence.
+            assert!(
+                lost == 0 || number < 2,
+                "{mode}, sweep {number}: {lost} lost"
+            );
+            assert_eq!(
+                lost > 0,
+                view.header.has(LOSS_ESTIMATED),
+                "{mode}, sweep {number}"
+            );
+        }
+    }
 }

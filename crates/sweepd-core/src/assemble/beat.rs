@@ -16,7 +16,7 @@ const DRIFT: i64 = 50_000;
 const DEVIATIONS: f64 = 3.0;
 /// Doubt about the mean before it is measured, as a share of it: units and firmware differ.
 const UNMEASURED: f64 = 0.005;
-/// Packets over which the mean is taken, at most: the rest may change with time.
+/// Firings over which the mean is taken, at most: the rest may change with time.
 const MEASURED_OVER: f64 = 4096.0;
 
 /// The period of a sensor's packets.

@@ -193,9 +193,6 @@ impl Builder {
         } = before
         {
             self.lost += u64::from(packets);
-            if let Some(open) = &mut self.open {
-                open.lost_is_estimated |= !is_exact;
-            }
             let firings = packets as usize * spec.firings_per_packet(packet.mode);
             cursor.new_run |= travelled_cdeg.abs() >= TURN || firings >= COLUMNS_CAPACITY;
             match self.head.last_cdeg() {
@@ -205,6 +202,7 @@ impl Builder {
                         from_ns: self.last_firing_ns,
                         travelled_cdeg,
                         silence,
+                        is_exact,
                     };
                     cursor.missing = Some(MissingFirings::new(&travel, firings, packet, spec));
                 }
@@ -213,6 +211,7 @@ impl Builder {
                     cursor.new_run = true;
                     if let Some(open) = &mut self.open {
                         open.lost += packets;
+                        open.lost_is_estimated |= !is_exact;
                     }
                 }
             }

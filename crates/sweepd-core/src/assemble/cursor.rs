@@ -35,6 +35,8 @@ pub struct HeadTravel {
     pub from_ns: i64,
     pub travelled_cdeg: f64,
     pub silence: Option<Sector>,
+    /// Whether the stamps tell how many packets are missing.
+    pub is_exact: bool,
 }
 
 /// Firings that are missing, evenly spread between two that are there.
@@ -48,6 +50,8 @@ pub struct MissingFirings {
     /// Firings before the sector that was left out in the gap, the travel across it, signed as the
     /// step, and its duration.
     pub silence: Option<(usize, f64, f64)>,
+    /// Whether the stamps tell how many they are.
+    pub is_exact: bool,
 }
 
 /// A firing on its way into a column.
@@ -97,6 +101,7 @@ impl MissingFirings {
             from_ns,
             travelled_cdeg,
             silence,
+            is_exact,
         } = *travel;
         let lasted_ns = (packet.time_ns - from_ns) as f64;
         let steps = (firings + 1) as f64;
@@ -114,6 +119,7 @@ impl MissingFirings {
                 step_cdeg,
                 step_ns,
                 silence: None,
+                is_exact,
             };
         };
         let step_ns = f64::from(spec.firing_period_ns(packet.mode));
@@ -132,6 +138,7 @@ impl MissingFirings {
             step_cdeg,
             step_ns,
             silence,
+            is_exact,
         }
     }
 

@@ -187,6 +187,7 @@ impl OpenSweep {
                 clear(sweep, place);
                 self.missing += 1;
                 self.lost += u32::from(firing.begins_lost_packet);
+                self.lost_is_estimated |= cursor.missing.is_some_and(|missing| !missing.is_exact);
             }
         }
         self.columns += 1;

@@ -452,6 +452,7 @@ impl Detector {
             match model_of_product(self.bytes.product)? {
                 // Early VLP-16 firmware sends the product byte of an HDL-32E.
                 Some(Model::Hdl32e) if timing == Model::Vlp16 => (timing, basis),
+                Some(model) if vote.fits == 0 => (model, Basis::BytesAlone),
                 Some(model) => (model, Basis::BytesAndPeriod),
                 None => (timing, basis),
             }
