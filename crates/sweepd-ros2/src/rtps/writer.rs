@@ -176,7 +176,9 @@ struct Reader {
     from: u64,
     /// It has all up to this.
     acknowledged: u64,
-    next_heartbeat: Instant,
+    /// When it was asked last, or last said something new.
+    asked: Instant,
+    /// It is asked again that much later.
     interval: Duration,
     skipped: u64,
     /// When samples were last sent again, of late.
@@ -197,7 +199,7 @@ impl Reader {
 
     fn ask_after(&mut self, interval: Duration, now: Instant) {
         self.interval = interval;
-        self.next_heartbeat = now + interval;
+        self.asked = now;
     }
 }
 
@@ -282,7 +284,7 @@ impl Writer {
             names_hash: data.names_hash,
             from,
             acknowledged: from - 1,
-            next_heartbeat: now + HEARTBEAT_INTERVAL,
+            asked: now,
             interval: HEARTBEAT_INTERVAL,
             skipped: 0,
             repaired: BTreeMap::new(),
@@ -467,8 +469,14 @@ impl Writer {
             return;
         };
         let has = missing.base.saturating_sub(1).min(last);
-        reader.acknowledged = reader.acknowledged.max(has);
-        reader.ask_after(HEARTBEAT_INTERVAL, now);
+        if has > reader.acknowledged || !missing.is_empty() {
+            reader.acknowledged = reader.acknowledged.max(has);
+            reader.ask_after(HEARTBEAT_INTERVAL, now);
+        } else {
+            // It says that it is there, until it hears what there is. Each time that postponed the
+            // answer, it would never hear.
+            reader.interval = HEARTBEAT_INTERVAL;
+        }
         let first = first.max(reader.from);
         let to = reader.link.place.address;
         let mut gaps = Message::to(self.guid.prefix, from.prefix);
@@ -507,7 +515,7 @@ impl Writer {
         let pulse = self.pulse(self.first(), self.complete);
         for (guid, reader) in &mut self.readers {
             let waiting = reader.reliable && reader.acknowledged < self.complete;
-            if !waiting || now < reader.next_heartbeat {
+            if !waiting || now < reader.asked + reader.interval {
                 continue;
             }
             reader.ask_after((reader.interval * 2).min(LONGEST_INTERVAL), now);

@@ -228,6 +228,32 @@ fn a_flood_fills_what_there_is_room_for() {
     take(&participant, asking.bytes());
 }
 
+/// Fast DDS says every 70 ms that it has nothing, until it hears what there is.
+#[test]
+fn a_reader_that_keeps_saying_that_it_has_nothing_is_told_what_there_is() {
+    let (participant, writer) = deaf(213);
+    let prefix = [7; 12];
+    take(&participant, participant_data(prefix).bytes());
+    take(&participant, reader_data(prefix, 1, 1).bytes());
+    let reader = Guid::new(prefix, [0, 0, 1, 4]);
+    let mut state = lock(&participant.shared.state);
+    let (_, writer) = state.writers.get_mut(&writer.guid.entity).unwrap();
+    let start = Instant::now();
+    let mut told_ms = vec![];
+    for ms in (0..2000).step_by(10) {
+        let (now, mut out) = (start + Duration::from_millis(ms), Outbox::default());
+        if ms % 70 == 0 {
+            writer.acknack(reader, &NumberSet::new(0), now, &mut out);
+        }
+        assert!(out.messages.is_empty() && out.repairs.is_empty());
+        writer.tick(now, &mut out);
+        told_ms.extend(out.messages.iter().map(|_| ms));
+    }
+    assert!(told_ms.first().is_some_and(|ms| *ms <= 200), "{told_ms:?}");
+    // Readers that answer each heartbeat so do not make it a storm.
+    assert!((5..=20).contains(&told_ms.len()), "{told_ms:?}");
+}
+
 #[test]
 fn others_are_not_heard_where_they_must_not_be() {
     let (participant, _writer) = deaf(211);
