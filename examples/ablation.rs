@@ -27,6 +27,8 @@ type Result<T> = std::result::Result<T, Box<dyn Error + Send + Sync>>;
 
 /// Rings of which one is kept.
 const STEPS: [usize; 3] = [1, 2, 4];
+/// Of all rows, in the mean.
+const HDL64E_ROWS_APART_DEG: f32 = 0.43;
 /// What a nat of USE costs where a variant is chosen: merging is worse than splitting.
 const USE_PRICE: f64 = 0.005;
 /// What a variant is chosen by, with a name for the tables.
@@ -420,11 +422,10 @@ fn print_defaults() {
         .iter()
         .map(|(name, field)| format!("`{name}` {}", field(&mut slope)))
         .collect();
-    let by_rows =
-        |of: &dyn Fn(usize) -> f32| STEPS.map(|step| of(64 / step).to_string()).join(" / ");
+    let each = |of: &dyn Fn(usize) -> f32| STEPS.map(|step| of(step).to_string()).join(" / ");
     let (rises, gaps) = (
-        by_rows(&|rows| slope.max_rise_m(rows)),
-        by_rows(&|rows| joining.gap_m(rows == 64)),
+        each(&|step| slope.max_rise_m(step as f32 * HDL64E_ROWS_APART_DEG.to_radians())),
+        each(&|step| joining.gap_m(step == 1)),
     );
     println!(
         "Defaults: {}, `max_rise_m` {rises} (64 / 32 / 16 rows);\n`columns` {columns}, `rows` {rows}, `gap_m` {gaps}, `small_points` {small_points}, \

@@ -24,7 +24,13 @@ use sweepd::sensor::Model;
 use sweepd::simulate::Setting;
 use tables::{DECIMALS, HEADING, INSTANCE_POINTS, Scored, figures, instances};
 
-const MODELS: [Model; 3] = [Model::Vlp16, Model::Hdl32e, Model::Hdl64eS2];
+const MODELS: [Model; 5] = [
+    Model::Vlp16,
+    Model::Hdl32e,
+    Model::Vlp32c,
+    Model::Hdl64eS2,
+    Model::Vls128,
+];
 const SEEDS: RangeInclusive<u64> = 1..=5;
 /// Of which the first begins a sixth of a turn before the cut, and the last ends behind it.
 const TURNS: f64 = 3.3;

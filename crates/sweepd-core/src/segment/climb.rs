@@ -58,7 +58,7 @@ impl Climb {
         let rows = beams.rows();
         let mut found = [ClimbedRow::default(); MAX_ROWS];
         if let Some(height_m) = self.height_m {
-            let steps = Steps::new(limits, rows, height_m);
+            let steps = Steps::new(limits, beams.rows_apart_rad, height_m);
             for (row, spots) in self.spots[..rows].iter_mut().enumerate() {
                 spots.place(simd, &steps, beams, ranges, row, position);
             }
@@ -116,14 +116,14 @@ pub(super) struct Steps {
 pub(super) const STEPS_AWAY: u32 = 2;
 
 impl Steps {
-    pub fn new(limits: &SlopeGround, rows: usize, height_m: f32) -> Self {
+    pub fn new(limits: &SlopeGround, rows_apart_rad: f32, height_m: f32) -> Self {
         let per_m = (f32::from(i16::MAX) / (REACH_M * limits.max_slope)).min(512.0);
         let whole = |limit_m: f32| (limit_m * per_m).round() as i16;
         Self {
             per_m,
             max_slope: limits.max_slope,
             height_m,
-            max_rise: whole(limits.max_rise_m(rows)),
+            max_rise: whole(limits.max_rise_m(rows_apart_rad)),
             min_rise: whole(limits.min_rise_m),
             max_step: whole(limits.max_step_m),
             max_kerb: whole(limits.max_kerb_m),

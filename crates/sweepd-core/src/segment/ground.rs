@@ -10,7 +10,8 @@
 //! heights and what the steepest way rises are in steps of 2 mm, distances in steps of 7.8 mm; where
 //! `max_slope` is more than 1 to 4, steps are as much longer as the way rises more in 256 m.
 
-use super::order::DENSE_ROWS;
+use super::joining::DENSE_DEG;
+use crate::sweep::BeamRow;
 
 /// What counts as ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -47,11 +48,22 @@ impl Default for SlopeGround {
 }
 
 impl SlopeGround {
-    /// Highest rise from one ground point to the next in an image of this many rows, metres: what
-    /// is configured, else 0.3 where beams are dense, and 0.15 where they are sparse, so that the next
-    /// point may lie on what stands there.
-    pub fn max_rise_m(&self, rows: usize) -> f32 {
+    /// Highest rise from one ground point to the next where rows are [this far
+    /// apart](rows_apart_rad), metres: what is configured, else 0.3 where rows are dense, and 0.15
+    /// where they are sparse, so that the next point may lie on what stands there.
+    pub fn max_rise_m(&self, rows_apart_rad: f32) -> f32 {
+        let are_dense = rows_apart_rad <= DENSE_DEG.to_radians();
         self.max_rise_m
-            .unwrap_or(if rows >= DENSE_ROWS { 0.3 } else { 0.15 })
+            .unwrap_or(if are_dense { 0.3 } else { 0.15 })
+    }
+}
+
+/// How far apart rows are, in the mean, radians. Ground is followed through all rows, so the wide
+/// steps count as well: those of a VLP-32C are 1.3 degrees apart, though most of its rows are dense.
+pub fn rows_apart_rad(beams: &[BeamRow]) -> f32 {
+    let steps = beams.len().saturating_sub(1).max(1) as f32;
+    match beams {
+        [top, .., bottom] => (top.elevation_rad - bottom.elevation_rad).abs() / steps,
+        _ => 0.0,
     }
 }

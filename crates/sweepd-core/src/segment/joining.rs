@@ -43,7 +43,7 @@ impl Joining {
 
 /// Rows of dense beams are no further apart than this, degrees: those of an HDL-64E are 0.3 to 0.5
 /// apart, those of an HDL-32E 1.33.
-const DENSE_DEG: f32 = 0.6;
+pub(super) const DENSE_DEG: f32 = 0.6;
 
 /// Whether beams are dense: most rows are near to the next one. The number of rows does not tell:
 /// of the 32 of a VLP-32C, 18 are 0.33 degrees apart.

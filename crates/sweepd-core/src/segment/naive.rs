@@ -8,7 +8,7 @@ use std::collections::{HashMap, VecDeque};
 
 use super::climb::{STEPS_AWAY, Steps};
 use super::config::Config;
-use super::ground::SlopeGround;
+use super::ground::{SlopeGround, rows_apart_rad};
 use super::joining;
 use super::near::{Limits, Polygon, Tangents};
 use super::order::Order;
@@ -36,6 +36,7 @@ pub fn segment(sweep: &SweepRef<'_>, config: &Config, height_m: Option<f32>) -> 
     };
     let image = Image {
         rows: sweep.rows(),
+        rows_apart_rad: rows_apart_rad(sweep.beams),
         columns,
         circular,
         pixels: &pixels,
@@ -66,6 +67,7 @@ pub fn segment(sweep: &SweepRef<'_>, config: &Config, height_m: Option<f32>) -> 
 /// The image: what may be labelled, and which pixels are how far apart.
 struct Image<'a> {
     rows: usize,
+    rows_apart_rad: f32,
     columns: usize,
     circular: bool,
     pixels: &'a [Option<Placed>],
@@ -303,7 +305,7 @@ fn number(
 /// Ground by the climb of each column: see [`SlopeGround`]. All is in whole [`Steps`].
 fn climb(image: &Image<'_>, limits: &SlopeGround, height_m: f32) -> Vec<bool> {
     let mut ground = vec![false; image.pixels.len()];
-    let steps = Steps::new(limits, image.rows, height_m);
+    let steps = Steps::new(limits, image.rows_apart_rad, height_m);
     for column in 0..image.columns {
         // How high the steepest way leads from the plumb line to there, and the height.
         let mut foothold = (0, 0);

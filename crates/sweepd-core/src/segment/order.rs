@@ -11,10 +11,6 @@ use crate::sweep::layout::flags;
 /// Most rows of an image.
 pub const MAX_ROWS: usize = 128;
 
-/// Images of this many rows or more are dense to the ground's limit of rise, if that is not
-/// configured.
-pub(super) const DENSE_ROWS: usize = 48;
-
 /// Widest window.
 pub const MOST_COLUMNS: usize = 12;
 /// Highest window.
