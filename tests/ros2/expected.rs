@@ -12,6 +12,7 @@ use sweepd::sweep::buffers::HeapBuffer;
 use sweepd::sweep::layout::is_return;
 use sweepd::sweep::{Buffers, HeapBuffers, Return, SweepRef};
 
+use super::hurry;
 use super::peer::Said;
 
 /// Sweeps that are kept: peers are a few behind at most.
@@ -71,6 +72,8 @@ impl Consumer {
         let mut memory = HeapBuffers::default();
         let of_thread = Arc::clone(&shared);
         let thread = thread::spawn(move || {
+            // What it misses, no cloud can be held against.
+            hurry("-15");
             while !of_thread.over.load(Ordering::Relaxed) {
                 let Some(sweep) = client.next(Duration::from_millis(100)).unwrap() else {
                     continue;

@@ -23,16 +23,16 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 fn alone() -> MutexGuard<'static, ()> {
     static ALONE: Mutex<()> = Mutex::new(());
     let guard = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
-    hurry();
+    hurry("-10");
     guard
 }
 
 /// Where this is allowed, the threads and processes that this thread starts go before those of
 /// other programs: readers that get no core for 40 ms lose clouds.
-fn hurry() {
+fn hurry(nice: &str) {
     let thread = std::fs::read_link("/proc/thread-self").unwrap();
     let _ = Command::new("renice")
-        .args(["-n", "-10", "-p"])
+        .args(["-n", nice, "-p"])
         .arg(thread.file_name().unwrap())
         .stdout(Stdio::null())
         .stderr(Stdio::null())
