@@ -2,9 +2,11 @@
 //!
 //! The kernel drops what does not fit into the buffer of a reader's socket, without a word. On this
 //! host the kernel says how full that is (`NETLINK_SOCK_DIAG`, sock_diag(7)); so a fragment is sent
-//! when it fits. A reader that makes us wait longer than [`PATIENCE`] in one sample loses the rest of
-//! it, and gets no patience until its buffer is half free. Where the kernel cannot say, the pace is
-//! fixed, and takes no patience. Readers wait for none of the others: deliveries take turns.
+//! when it fits. A reader that makes the writer wait longer than [`PATIENCE`] in one sample gets the
+//! rest behind the writer, as fast as it takes it, and no newer sample meanwhile. One that takes
+//! nothing for [`PATIENCE_BEHIND`] loses the rest, and gets no patience until its buffer is half
+//! free. Where the kernel cannot say, the pace is fixed, and takes no patience. Readers wait for none
+//! of the others: deliveries take turns.
 
 use super::discovery::Place;
 use super::sockets::Sockets;
@@ -18,8 +20,11 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How long a reader may make us wait in one sample.
+/// How long the writer waits for a reader in one sample.
 pub const PATIENCE: Duration = Duration::from_millis(40);
+
+/// How long the rest of a sample waits behind the writer for room for one more fragment.
+const PATIENCE_BEHIND: Duration = Duration::from_millis(500);
 
 /// How long to wait for room before the kernel is asked again.
 const PAUSE: Duration = Duration::from_micros(50);
@@ -342,6 +347,21 @@ pub struct Delivery {
     pub pulse: Option<Pulse>,
     /// How far it is.
     pub progress: Progress,
+    /// Why it is sent, and who waits for it.
+    pub kind: Kind,
+    /// Lives as long as the delivery.
+    pub under_way: Arc<()>,
+}
+
+/// Why a sample is sent, and who waits for it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// It is new: the writer waits.
+    New,
+    /// The rest of a new one, for a slow reader: no one waits.
+    Rest,
+    /// A reader asked for it again: no one waits.
+    Repair,
 }
 
 /// How far a delivery is.
@@ -350,7 +370,9 @@ pub struct Progress {
     /// Fragments that need no further look.
     done: u32,
     heartbeat: Option<Heartbeat>,
+    /// When the fragment that waits found no room first.
     waits_since: Option<Instant>,
+    /// What fragments before it waited.
     waited: Duration,
 }
 
@@ -363,7 +385,9 @@ pub enum Step {
     Waits,
     /// All of it was sent.
     Done,
-    /// The reader made us wait for too long: the rest is not sent.
+    /// The reader made the writer wait for too long: the rest is to be sent behind it.
+    Slow,
+    /// The reader took nothing for too long: the rest is not sent.
     Lost,
     /// There is no reader any more.
     Gone,
@@ -373,7 +397,7 @@ impl Delivery {
     /// Whether another brings the same to the same reader.
     pub fn is_same(&self, other: &Self) -> bool {
         let key = |delivery: &Self| (delivery.reader, delivery.writer, delivery.sample.number);
-        key(self) == key(other)
+        key(self) == key(other) && Arc::ptr_eq(&self.link, &other.link)
     }
 
     /// Sends what there is room for now, a turn at most.
@@ -398,7 +422,9 @@ impl Delivery {
                 Outcome::Gone => return Step::Gone,
             }
             self.progress.done = number;
-            self.progress.waits_since = None;
+            if let Some(since) = self.progress.waits_since.take() {
+                self.progress.waited += since.elapsed();
+            }
             turn += part.len();
         }
         Step::Done
@@ -448,15 +474,14 @@ impl Delivery {
 
     fn wait(&mut self) -> Step {
         let now = Instant::now();
-        let progress = &mut self.progress;
-        if let Some(since) = progress.waits_since {
-            progress.waited += now.duration_since(since);
-        }
-        progress.waits_since = Some(now);
+        let since = *self.progress.waits_since.get_or_insert(now);
+        let waits = now.duration_since(since);
         let mut room = lock(&self.link.room);
-        room.stalled |= progress.waited > PATIENCE;
+        room.stalled |= waits > PATIENCE_BEHIND;
         if room.stalled {
             Step::Lost
+        } else if self.kind == Kind::New && self.progress.waited + waits > PATIENCE {
+            Step::Slow
         } else {
             Step::Waits
         }
@@ -472,10 +497,11 @@ pub fn turn(deliveries: &mut Vec<Delivery>, transport: &Transport) -> Vec<(Deliv
     while let Some(delivery) = deliveries.get_mut(index) {
         let step = delivery.step(transport);
         all_wait &= step == Step::Waits;
-        if matches!(step, Step::Done | Step::Lost | Step::Gone) {
-            ended.push((deliveries.swap_remove(index), step));
-        } else {
-            index += 1;
+        match step {
+            Step::Sent | Step::Waits => index += 1,
+            Step::Done | Step::Slow | Step::Lost | Step::Gone => {
+                ended.push((deliveries.swap_remove(index), step));
+            }
         }
     }
     if all_wait && !deliveries.is_empty() {
@@ -523,6 +549,8 @@ mod tests {
             only: None,
             pulse: None,
             progress: Progress::default(),
+            kind: Kind::New,
+            under_way: Arc::default(),
         };
         let start = Instant::now();
         let mut deliveries = vec![delivery];

@@ -1,10 +1,10 @@
 //! The participant: sockets, state, and two threads.
 //!
-//! One thread receives, and sends what is small; another repairs. Samples leave in the thread that
-//! writes them. The state is locked for moments only, and never while something is sent.
+//! One thread receives, and sends what is small. Samples leave in the thread that writes them; a
+//! second thread sends what readers ask for again, and to slow ones the rest of a sample. The state is locked for moments only, and never while something is sent.
 
 use super::discovery::{Discovery, News, ParticipantData, Place, ReaderData};
-use super::flow::{self, Delivery, Link, SocketMemory, Step, Transport, lock};
+use super::flow::{self, Delivery, Kind, Link, SocketMemory, Step, Transport, lock};
 use super::parameters::{self, ParameterList};
 use super::sockets::{self, Sockets};
 use super::sys;
@@ -35,8 +35,9 @@ const TICK: Duration = Duration::from_millis(50);
 /// Datagrams that are taken of one socket before other work.
 const BATCH: usize = 64;
 
-/// Repairs that wait or are on their way. Readers ask again for those that find no room.
-const MAX_REPAIRS: usize = 256;
+/// Repairs and rests of samples that wait or are on their way behind the writers. Readers ask again
+/// for what finds no room.
+const MAX_BEHIND: usize = 256;
 
 /// Disposals that are kept for others to hear of.
 const DISPOSALS: usize = 32;
@@ -66,6 +67,8 @@ struct Shared {
     enclave: String,
     transport: Transport,
     state: Mutex<State>,
+    /// To the thread that sends behind the writers, while there is one.
+    behind: Mutex<Option<SyncSender<Delivery>>>,
     closed: AtomicBool,
 }
 
@@ -100,7 +103,8 @@ impl Participant {
     /// What the system says of sockets and threads.
     pub fn new(environment: &Environment, name: &str, enclave: &str) -> io::Result<Self> {
         let shared = Arc::new(Shared::open(environment, name, enclave)?);
-        let (to_repair, repairs) = sync_channel(MAX_REPAIRS);
+        let (behind, deliveries) = sync_channel(MAX_BEHIND);
+        *lock(&shared.behind) = Some(behind);
         let participant = Self {
             shared: Arc::clone(&shared),
             threads: Mutex::default(),
@@ -109,13 +113,13 @@ impl Participant {
             let shared = Arc::clone(&shared);
             thread::Builder::new()
                 .name("rtps".into())
-                .spawn(move || shared.serve(&to_repair))?
+                .spawn(move || shared.serve())?
         };
         lock(&participant.threads).push(receiving);
-        let repairing = thread::Builder::new()
-            .name("rtps-repair".into())
-            .spawn(move || shared.repair(&repairs))?;
-        lock(&participant.threads).push(repairing);
+        let sending = thread::Builder::new()
+            .name("rtps-behind".into())
+            .spawn(move || shared.send_behind(&deliveries))?;
+        lock(&participant.threads).push(sending);
         Ok(participant)
     }
 
@@ -197,7 +201,8 @@ impl Participant {
         if self.shared.closed.swap(true, Ordering::Relaxed) {
             return;
         }
-        // The receiving thread sees it within a tick; the other when that one has gone.
+        // The receiving thread sees it within a tick; the other has nothing to come.
+        drop(lock(&self.shared.behind).take());
         for thread in lock(&self.threads).drain(..) {
             // One that panicked has said so itself.
             let _ = thread.join();
@@ -309,6 +314,7 @@ impl Shared {
             enclave: enclave.to_owned(),
             transport,
             state: Mutex::new(state),
+            behind: Mutex::default(),
             closed: AtomicBool::new(false),
         })
     }
@@ -345,43 +351,62 @@ impl Shared {
         while !deliveries.is_empty() {
             ended.extend(flow::turn(&mut deliveries, &self.transport));
         }
-        if let Some((_, writer)) = lock(&self.state).writers.get_mut(&writer.guid.entity) {
-            writer.finish(ended, Instant::now());
+        let mut state = lock(&self.state);
+        if let Some((_, writer)) = state.writers.get_mut(&writer.guid.entity) {
+            let slow = writer.finish(ended, Instant::now());
+            drop(state);
+            self.go_on_behind(slow);
         }
     }
 
-    /// The repairing thread: ends when the receiving one does.
-    fn repair(&self, repairs: &Receiver<Delivery>) {
+    fn go_on_behind(&self, deliveries: Vec<Delivery>) {
+        if let Some(behind) = &*lock(&self.behind) {
+            for delivery in deliveries {
+                // Where there is no room, a reliable reader asks again.
+                let _ = behind.try_send(delivery);
+            }
+        }
+    }
+
+    /// The thread that sends behind the writers: what is asked for again, and to slow readers the
+    /// rests of samples. Ends when nothing more can come.
+    fn send_behind(&self, coming: &Receiver<Delivery>) {
         let mut under_way: Vec<Delivery> = vec![];
         loop {
             if under_way.is_empty() {
-                match repairs.recv() {
-                    Ok(repair) => under_way.push(repair),
+                match coming.recv() {
+                    Ok(delivery) => under_way.push(delivery),
                     Err(_) => return,
                 }
             }
-            while under_way.len() < MAX_REPAIRS {
-                let Ok(repair) = repairs.try_recv() else {
+            while under_way.len() < MAX_BEHIND {
+                let Ok(delivery) = coming.try_recv() else {
                     break;
                 };
                 // A reader that asks again before it is served gets it once.
-                if !under_way.iter().any(|other| other.is_same(&repair)) {
-                    under_way.push(repair);
+                if !under_way.iter().any(|other| other.is_same(&delivery)) {
+                    under_way.push(delivery);
                 }
             }
-            for (repair, step) in flow::turn(&mut under_way, &self.transport) {
-                let state = lock(&self.state);
-                if let Some((_, writer)) = state.writers.get(&repair.writer.entity)
-                    && step == Step::Done
-                {
-                    writer.counters.repaired.fetch_add(1, Ordering::Relaxed);
+            for (delivery, step) in flow::turn(&mut under_way, &self.transport) {
+                let mut state = lock(&self.state);
+                let writer = state.writers.get_mut(&delivery.writer.entity);
+                let Some((_, writer)) = writer else {
+                    continue;
+                };
+                match (delivery.kind, step) {
+                    (Kind::Repair, Step::Done) => {
+                        writer.counters.repaired.fetch_add(1, Ordering::Relaxed);
+                    }
+                    (Kind::Rest, Step::Lost) => writer.lost(&delivery.link),
+                    _ => {}
                 }
             }
         }
     }
 
     /// The receiving thread.
-    fn serve(&self, to_repair: &SyncSender<Delivery>) {
+    fn serve(&self) {
         let mut buffer = vec![0; 65_536];
         let start = Instant::now();
         let mut next_announcement = start;
@@ -394,7 +419,7 @@ impl Shared {
                 next_announcement = now + ANNOUNCEMENTS[usize::from(!at_first)];
             }
             if now >= next_tick {
-                self.send(self.tick(now), to_repair);
+                self.send(self.tick(now));
                 next_tick = now + TICK;
             }
             self.transport.sockets.wait(TICK);
@@ -403,18 +428,15 @@ impl Shared {
                     let Some((datagram, source)) = sockets::receive(inbox, &mut buffer) else {
                         break;
                     };
-                    self.send(self.receive(datagram, source), to_repair);
+                    self.send(self.receive(datagram, source));
                 }
             }
         }
     }
 
-    fn send(&self, out: Outbox, to_repair: &SyncSender<Delivery>) {
+    fn send(&self, out: Outbox) {
         self.send_messages(out.messages);
-        for repair in out.repairs {
-            // Where there is no room, the reader asks again.
-            let _ = to_repair.try_send(repair);
-        }
+        self.go_on_behind(out.repairs);
     }
 
     fn send_messages(&self, messages: Vec<(SocketAddrV4, Message)>) {

@@ -5,12 +5,12 @@
 //! gets a gap.
 
 use super::discovery::{Place, ReaderData};
-use super::flow::{Delivery, Link, Progress, Pulse, Step};
+use super::flow::{Delivery, Kind, Link, Progress, Pulse, Step};
 use super::wire::{self, Guid, Message, NumberSet, Timestamp};
 use std::collections::{BTreeMap, VecDeque};
 use std::net::SocketAddrV4;
 use std::sync::atomic::{AtomicU32, AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, Weak};
 use std::time::{Duration, Instant};
 
 /// First time after which a reader is asked what it has; doubled while it does not answer.
@@ -181,6 +181,8 @@ struct Reader {
     /// It is asked again that much later.
     interval: Duration,
     skipped: u64,
+    /// A sample whose rest is sent to it behind the writer. It gets no other meanwhile.
+    under_way: Weak<()>,
     /// When samples were last sent again, of late.
     repaired: BTreeMap<u64, Instant>,
 }
@@ -195,6 +197,10 @@ impl Reader {
             self.repaired.insert(number, now);
         }
         wants
+    }
+
+    fn is_busy(&self) -> bool {
+        self.under_way.strong_count() > 0
     }
 
     fn ask_after(&mut self, interval: Duration, now: Instant) {
@@ -287,6 +293,7 @@ impl Writer {
             asked: now,
             interval: HEARTBEAT_INTERVAL,
             skipped: 0,
+            under_way: Weak::new(),
             repaired: BTreeMap::new(),
         };
         self.readers.insert(data.guid, reader);
@@ -340,8 +347,11 @@ impl Writer {
         {
             self.recycle(old);
         }
+        for reader in self.readers.values_mut().filter(|reader| reader.is_busy()) {
+            reader.skipped += 1;
+        }
         let mut deliveries: Vec<Delivery> = vec![];
-        for (guid, reader) in &self.readers {
+        for (guid, reader) in self.readers.iter().filter(|(_, reader)| !reader.is_busy()) {
             let by_reader = matches!(sample.body, Body::ByReader { .. });
             let same_place = deliveries
                 .iter_mut()
@@ -362,15 +372,12 @@ impl Writer {
         Some(deliveries)
     }
 
-    /// The sample is sent; `ended` says how each delivery did.
-    pub fn finish(&mut self, ended: Vec<(Delivery, Step)>, now: Instant) {
+    /// The sample is sent; `ended` says how each delivery did. Returns those to go on with behind
+    /// the writer.
+    pub fn finish(&mut self, ended: Vec<(Delivery, Step)>, now: Instant) -> Vec<Delivery> {
         self.complete += 1;
         for reader in self.readers.values_mut() {
             reader.ask_after(HEARTBEAT_INTERVAL, now);
-            let lost = ended.iter().any(|(delivery, step)| {
-                *step == Step::Lost && Arc::ptr_eq(&delivery.link, &reader.link)
-            });
-            reader.skipped += u64::from(lost);
             reader
                 .repaired
                 .retain(|_, at| now.duration_since(*at) < REPAIR_INTERVAL);
@@ -378,11 +385,37 @@ impl Writer {
         if !ended.is_empty() {
             self.counters.written.fetch_add(1, Ordering::Relaxed);
         }
-        let mut samples = ended.into_iter().map(|(delivery, _)| delivery.sample);
-        let sample = samples.next();
-        drop(samples);
-        if let Some(sample) = sample {
+        let (mut slow, mut sent) = (vec![], None);
+        for (mut delivery, step) in ended {
+            match step {
+                Step::Slow => {
+                    delivery.kind = Kind::Rest;
+                    for reader in self.readers_by(&delivery.link) {
+                        reader.under_way = Arc::downgrade(&delivery.under_way);
+                    }
+                    slow.push(delivery);
+                    continue;
+                }
+                Step::Lost => self.lost(&delivery.link),
+                Step::Sent | Step::Waits | Step::Done | Step::Gone => {}
+            }
+            sent = Some(delivery.sample);
+        }
+        if let Some(sample) = sent {
             self.recycle(sample);
+        }
+        slow
+    }
+
+    fn readers_by(&mut self, link: &Arc<Link>) -> impl Iterator<Item = &mut Reader> {
+        let readers = self.readers.values_mut();
+        readers.filter(|reader| Arc::ptr_eq(&reader.link, link))
+    }
+
+    /// Readers at the end of a way have lost a sample.
+    pub fn lost(&mut self, link: &Arc<Link>) {
+        for reader in self.readers_by(link) {
+            reader.skipped += 1;
         }
     }
 
@@ -427,6 +460,8 @@ impl Writer {
             only: None,
             pulse: None,
             progress: Progress::default(),
+            kind: Kind::New,
+            under_way: Arc::default(),
         }
     }
 
@@ -456,6 +491,7 @@ impl Writer {
                 .then_some([first.max(reader.from), self.complete]);
             let mut repair = self.delivery(Some(to), &self.readers[&to], &sample);
             repair.only = only;
+            repair.kind = Kind::Repair;
             repair.pulse = pulse.map(|[first, last]| self.pulse(first, last));
             out.repair(repair);
         }
@@ -476,6 +512,9 @@ impl Writer {
             // It says that it is there, until it hears what there is. Each time that postponed the
             // answer, it would never hear.
             reader.interval = HEARTBEAT_INTERVAL;
+        }
+        if reader.is_busy() {
+            return;
         }
         let first = first.max(reader.from);
         let to = reader.link.place.address;
@@ -505,7 +544,7 @@ impl Writer {
         out: &mut Outbox,
     ) {
         let known = self.readers.get(&from);
-        if known.is_some_and(|reader| number >= reader.from) {
+        if known.is_some_and(|reader| number >= reader.from && !reader.is_busy()) {
             self.repair(from, number, Some(missing), now, out);
         }
     }
@@ -515,7 +554,7 @@ impl Writer {
         let pulse = self.pulse(self.first(), self.complete);
         for (guid, reader) in &mut self.readers {
             let waiting = reader.reliable && reader.acknowledged < self.complete;
-            if !waiting || now < reader.asked + reader.interval {
+            if !waiting || reader.is_busy() || now < reader.asked + reader.interval {
                 continue;
             }
             reader.ask_after((reader.interval * 2).min(LONGEST_INTERVAL), now);

@@ -4,6 +4,7 @@
 use socket2::{Domain, Protocol, Socket, Type};
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
+use std::thread;
 use std::time::{Duration, Instant};
 
 /// Longest wait for anything that a test waits for.
@@ -66,6 +67,8 @@ pub struct Peer {
     pub asks: bool,
     /// Fragments, or whole samples as fragment 1, that it throws away when they come first.
     pub loses: BTreeSet<(u64, u32)>,
+    /// What it does after each large datagram takes that long.
+    pub works: Duration,
 }
 
 fn parameter(list: &mut Vec<u8>, id: u16, value: &[u8]) {
@@ -144,6 +147,7 @@ impl Peer {
             received: BTreeMap::new(),
             asks: true,
             loses: BTreeSet::new(),
+            works: Duration::ZERO,
         }
     }
 
@@ -282,6 +286,9 @@ impl Peer {
             let body = &datagram[at + 4..at + 4 + length];
             self.submessage(kind, flags, body);
             at += 4 + length;
+        }
+        if bytes > 10_000 {
+            thread::sleep(self.works);
         }
     }
 
