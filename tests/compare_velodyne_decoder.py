@@ -12,17 +12,29 @@ row, kind and time. The limits follow from these differences, which are meant:
 * scans: velodyne-decoder cuts scans between packets, sweepd between firings: whole captures are compared.
 * product byte: it refuses a VLP-16 with the HDL-32E's byte (early firmware): all packets of models that have such a
   byte are given to it with the byte of the model.
-* least range: it leaves out ranges under 0.1 m unless told otherwise; it is told so.
+* least and greatest range: it leaves out ranges under 0.1 m and over 200 m unless told otherwise; it is told so.
 * rings and axes: its axes are those of ROS (x forward, y left); it numbers rings from the lowest, sweepd rows from
   the highest.
 * equal pairs: of two equal returns of a shot it gives one point, of kind "both": of each such pair one line is left
   out.
 * last of an HDL-64E: its last return is that of the third and fourth block of a firing. No manual says so, and sweepd
   calls the farther one the last. `sweepd simulate` sends the farther one there: the kinds must be equal.
+* last of a VLS-128: it calls the first of two blocks the last. Sources contradict each other, and sweepd calls the
+  farther one the last. `sweepd simulate` sends the strongest first: the kinds must be the other ones.
 * azimuth, rounding: it rounds azimuths to hundredths of a degree, CENTIDEGREE.
 * azimuth, turning rate: it takes the rate of the head from the first and the last azimuth of the packet, each of
   which is rounded and carries the encoder's noise, together ENDS_DEG; sweepd from many packets. Shots a while after
   their block's azimuth differ by that share of it.
+* azimuth, beams that look aside: on a VLP-32C and a VLS-128 shots come up to 45 us after their azimuth, and its rate
+  is wrong for more reasons. On a VLP-32C a sector that was left out inside the packet counts as turned: up to 10
+  degrees. On a VLS-128 it is that since the packet before, as if that had lasted 20 slots a firing: 3.6 % too high
+  where the lasers rest; and 0 in the first packet. What it computes is known: its rate is replaced by the mean of the
+  capture, which is less than STEADY_DEG off.
+* times, left out: on a VLP-32C it takes no notice of that sector: firings behind it are 49.7 ms early. The lasers keep
+  their beat, and the silent firings are added.
+* times, VLS-128: it takes 20 slots for a firing, 1.94 us less than with the rest. It takes the stamp for 7 us after the
+  first shot, which it scales to 6.46 us, and sweepd for the fourth group's shot, 8 us. Its slots are 2.89 us in the
+  first packet, and in all where the second comes 167 us after it or more. The differences are added.
 * azimuth and times, period: it knows 57.6 us from firing to firing on an S3, whatever the packets' own period. At 288
   us a packet its times are not compared, and its azimuths need only be within OTHER_PERIOD_DEG at 600 turns a minute.
 * times, clock: its times are the sensor's microseconds, with the hour of the arrival. sweepd's are these where GPS is
@@ -59,16 +71,36 @@ class Sensor(NamedTuple):
     last_shot_ns: int  # after its azimuth
     table_deg: float = 1e-4  # how far elevations may be off velodyne-decoder's own table
     knows_period: bool = True
+    at_once: int | None = None  # how many beams of one that look aside fire at once
+    slot_ns: float = 0  # from these to the next
 
     @property
     def is_hdl64e(self):
         return self.product is None
+
+    @property
+    def is_vls128(self):
+        return self.at_once == 8
+
+    def period_ns(self, is_dual):
+        """From one packet to the next."""
+        return self.packet_ns // ((3 if self.is_vls128 else 2) if is_dual else 1)
+
+    def blocks_of_azimuth(self, is_dual):
+        return (4 if self.is_vls128 else 2 if self.is_hdl64e else 1) * (2 if is_dual else 1)
+
+    def slots(self, channel):
+        """Slots from the first shot of a firing to that of a channel: two are for maintenance after the eighth."""
+        slot = channel // self.at_once
+        return slot + 2 * (slot // 8) if self.is_vls128 else slot
 
 
 MODELS = {
     "vlp16": Sensor(vd.Model.VLP16, 0x22, 1_327_104, 110_592, 89_856),
     "puck-hires": Sensor(vd.Model.PuckHiRes, 0x24, 1_327_104, 110_592, 89_856, table_deg=0.0035),
     "hdl32e": Sensor(vd.Model.HDL32E, 0x21, 552_960, 46_080, 35_712),
+    "vlp32c": Sensor(vd.Model.VLP32C, 0x28, 663_552, 55_296, 34_560, at_once=2, slot_ns=2_304),
+    "vls128": Sensor(vd.Model.VLS128, 0xA1, 165_820, 55_273, 45_333, at_once=8, slot_ns=8_000 / 3),
     "hdl64e-s2": Sensor(vd.Model.HDL64E_S2, None, 288_000, 48_000, 45_660),
     "hdl64e-s3": Sensor(vd.Model.HDL64E_S3, None, 345_600, 57_600, 54_100),
     "hdl64e-s3-288us": Sensor(vd.Model.HDL64E_S3, None, 288_000, 48_000, 45_660, knows_period=False),
@@ -84,6 +116,9 @@ CENTIDEGREE = 0.005
 # Two azimuths, each off by the encoder's 0.02 degrees and by rounding to 0.01.
 ENDS_DEG = 0.05
 OTHER_PERIOD_DEG = 0.05
+STEADY_DEG = 0.002
+# A step from azimuth to azimuth that is no motion of the head.
+JUMP_CDEG = 200
 # Half of the last decimal of an angle in the CSV, and a little for single precision.
 DECIMALS_DEG = 6e-5
 LENGTH_M, BENT_M = 0.0001, 0.0002
@@ -110,9 +145,9 @@ def ours(folder):
 
 def in_the_order_of_points(lines, sensor, is_dual):
     """As velodyne-decoder has them: azimuth by azimuth, shot by shot, of two returns the last before the strongest."""
-    azimuth = lines["block"] // ((2 if sensor.is_hdl64e else 1) * (2 if is_dual else 1))
-    # Two firings of a VLP-16 share an azimuth, and the later has the same channels; an HDL-64E's heads fire together.
-    shot = lines["channel"] if sensor.is_hdl64e else lines["time_ns"]
+    azimuth = lines["block"] // sensor.blocks_of_azimuth(is_dual)
+    # Two firings of a VLP-16 share an azimuth, and the later has the same channels; beams of others fire together.
+    shot = lines["channel"] if sensor.is_hdl64e or sensor.at_once else lines["time_ns"]
     comes_second = lines["block"] % 4 < 2 if sensor.is_hdl64e else lines["block"] % 2 == 1
     return lines[np.lexsort((comes_second, shot, azimuth, lines["packet"]))]
 
@@ -130,17 +165,20 @@ class Theirs(NamedTuple):
     time_ns: np.ndarray  # of each by the sensor's clock, since 1970
     lag_ns: np.ndarray  # of each packet from its stamp to its arrival, by the two clocks
     is_dual: bool
+    stamp_ns: np.ndarray | None = None  # of each packet, of the hour
+    azimuth_cdeg: np.ndarray | None = None  # of each packet and block
 
 
 def theirs(capture, sensor, calibration):
     """What velodyne-decoder makes of a capture, with a calibration file or without."""
     calibration = vd.Calibration.read(calibration) if calibration else None
-    decoder = vd.StreamDecoder(vd.Config(model=sensor.model, min_range=0, calibration=calibration))
-    scans, arrivals = [], []
+    decoder = vd.StreamDecoder(vd.Config(model=sensor.model, min_range=0, max_range=300, calibration=calibration))
+    scans, arrivals, azimuths = [], [], []
     for arrival, data in vd.util.iter_pcap(capture):
         if len(data) == vd.PACKET_SIZE:
             arrival = float(arrival)
             arrivals.append((round(arrival * 1e6) * 1000, struct.unpack("<L", data[1200:1204])[0] * 1000))
+            azimuths.append(np.frombuffer(data[:1200], "<u2").reshape(12, 50)[:, 1].astype(int))
             is_dual = data[2:4] == data[202:204] if sensor.is_hdl64e else data[1204] == 0x39
             known = data if sensor.is_hdl64e else data[:1205] + bytes([sensor.product])
             scans.append(decoder.decode(arrival, known))
@@ -156,11 +194,42 @@ def theirs(capture, sensor, calibration):
     hour_begins = stamps[0] - stamps[0] % hour
     lag_ns = np.array([arrival - hour_begins - of_hour for arrival, of_hour in arrivals])
     forward, left, *rest = points[:, [0, 1, 2, 3, 6, 7]].astype(float).T
-    return Theirs(np.stack([-left, forward, *rest]), time_ns, lag_ns, is_dual)
+    stamp_ns = np.array([of_hour for _, of_hour in arrivals])
+    return Theirs(np.stack([-left, forward, *rest]), time_ns, lag_ns, is_dual, stamp_ns, np.stack(azimuths))
 
 
 def turned(degrees):
     return (degrees + 180) % 360 - 180
+
+
+def corrected(lines, decoded, sensor):
+    """What it would say without its known errors of beams that look aside."""
+    blocks = sensor.blocks_of_azimuth(decoded.is_dual)
+    firings = 12 // blocks
+    azimuth = decoded.azimuth_cdeg[:, : firings * blocks : blocks]
+    steps = turned(np.diff(azimuth.ravel()) / 100)
+    is_jump = np.abs(steps) > JUMP_CDEG / 100
+    step = steps[~is_jump].mean()
+    packet, firing, slots = lines["packet"], lines["block"] // blocks, sensor.slots(lines["channel"])
+    if sensor.is_vls128:
+        cycles = 20 * firings
+        their_turn = np.append(0, np.diff(azimuth[:, 0]) % 36000 / 100 / cycles)[packet] * slots
+        interval_ns = np.diff(decoded.stamp_ns[:2]) * (3 if decoded.is_dual else 1)
+        their_slot = np.where((packet == 0) | (interval_ns >= 167_000), 2_890, sensor.slot_ns)
+        their_shot = -7_000 * their_slot / 2_890 + (20 * firing + slots) * their_slot
+        shot = -3 * sensor.slot_ns + firing * sensor.azimuth_ns + slots * sensor.slot_ns
+    else:
+        width = (firings - 1) * sensor.azimuth_ns
+        their_turn = ((azimuth[:, -1] - azimuth[:, 0]) % 36000 / 100 / width)[packet] * slots * sensor.slot_ns
+        silent = np.append(0, np.where(is_jump, np.round(steps % 360 / step) - 1, 0)).reshape(azimuth.shape)
+        # One between two packets is no error: the stamp of the later one has it.
+        silent[:, 0] = 0
+        their_shot, shot = 0, silent.cumsum(axis=1)[packet, firing] * sensor.azimuth_ns
+    more = np.radians(step / sensor.azimuth_ns * slots * sensor.slot_ns - their_turn)
+    right, forward, *rest = decoded.points
+    turned_on = [right * np.cos(more) + forward * np.sin(more), forward * np.cos(more) - right * np.sin(more)]
+    time_ns = decoded.time_ns + np.round(shot - their_shot).astype(np.int64)
+    return decoded._replace(points=np.stack([*turned_on, *rest]), time_ns=time_ns)
 
 
 def differences(lines, decoded, sensor, beams, own_table):
@@ -177,9 +246,13 @@ def differences(lines, decoded, sensor, beams, own_table):
     right, forward, up = decoded.points[:3] - seen_from
     level = np.hypot(right, forward)
 
-    packet_ns = sensor.packet_ns // (2 if decoded.is_dual else 1)
-    ends_share = sensor.last_shot_ns / (packet_ns - sensor.azimuth_ns)
-    azimuth_deg = CENTIDEGREE + ENDS_DEG * ends_share if sensor.knows_period else OTHER_PERIOD_DEG
+    if sensor.at_once:
+        azimuth_deg = CENTIDEGREE + STEADY_DEG
+    elif sensor.knows_period:
+        ends_share = sensor.last_shot_ns / (sensor.period_ns(decoded.is_dual) - sensor.azimuth_ns)
+        azimuth_deg = CENTIDEGREE + ENDS_DEG * ends_share
+    else:
+        azimuth_deg = OTHER_PERIOD_DEG
     table_deg, table_m = (sensor.table_deg, HEIGHT_M) if own_table else (0, 0)
     length_m = BENT_M if sensor.is_hdl64e else LENGTH_M
     decimals_m = length_m + np.radians(DECIMALS_DEG) * lines["range"]
@@ -199,11 +272,11 @@ def differences(lines, decoded, sensor, beams, own_table):
     ]
 
 
-def differences_in_time(lines, decoded, sensor):
+def differences_in_time(lines, decoded, sensor, limit_ns=TIME_NS):
     """How far each time is off, ns; on which clock sweepd's times are, in words; and what is wrong with that."""
-    packet_ns = sensor.packet_ns // (2 if decoded.is_dual else 1)
+    packet_ns = sensor.period_ns(decoded.is_dual)
     moved = lines["time_ns"] - decoded.time_ns + (packet_ns if sensor.is_hdl64e else 0)
-    on_host = np.abs(moved) > TIME_NS
+    on_host = np.abs(moved) > limit_ns
     if not on_host.any():
         return np.abs(moved), "UTC", []
     constant = (moved[on_host].min() + moved[on_host].max()) // 2
@@ -213,8 +286,8 @@ def differences_in_time(lines, decoded, sensor):
         wrong.append("times on the host's clock after times on that of GPS")
     # A packet is sent when it is full: no delay is less than the least, and the first counts until that is far off.
     delays = decoded.lag_ns - (0 if sensor.is_hdl64e else packet_ns)
-    slack = TIME_NS + DRIFT * np.ptp(decoded.time_ns)
-    if not delays.min() - TIME_NS <= constant <= delays[0] + slack:
+    slack = limit_ns + DRIFT * np.ptp(decoded.time_ns)
+    if not delays.min() - limit_ns <= constant <= delays[0] + slack:
         wrong.append(f"times moved by {constant} ns, the delays are {delays.min()} to {delays[0]}")
     return off, f"host for {np.mean(on_host):.2%}, sensor + {constant / 1000:.1f} us", wrong
 
@@ -232,13 +305,18 @@ def compare(capture, model, folder, calibration):
     if len(lines) != len(decoded.time_ns) or pairs[0] != pairs[1]:
         return [f"{len(lines)} returns, {len(decoded.time_ns)} by velodyne-decoder; {pairs} of them are equal pairs"]
     wrong = []
+    their_kinds = decoded.points[5]
+    if sensor.is_vls128 and decoded.is_dual:
+        their_kinds = np.where(their_kinds == BOTH, BOTH, 3 - their_kinds)
     for what, found, expected in [
         ("rings", len(beams) - 1 - lines["row"], decoded.points[4]),
-        ("kinds of returns", kinds, decoded.points[5]),
+        ("kinds of returns", kinds, their_kinds),
     ]:
         if not np.array_equal(found, expected):
             wrong.append(f"{np.sum(found != expected)} other {what}")
 
+    if sensor.at_once:
+        decoded = corrected(lines, decoded, sensor)
     compared = differences(lines, decoded, sensor, beams, own_table=not calibration)
     clock = "times not compared"
     if sensor.knows_period:

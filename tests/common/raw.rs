@@ -48,6 +48,37 @@ impl RawPacket {
     }
 }
 
+/// Makes a packet of a VLS-128 with two returns one that adds their confidence (byte 1204 is 0x3B;
+/// VeloView, vtkDataPacket.h): it stands in the third of three blocks of each bank, with bytes that
+/// are anything but zero.
+pub fn add_confidence(payload: &mut [u8]) {
+    assert_eq!((payload.len(), payload[1204]), (DATA_LEN, 0x39));
+    let before = payload.to_vec();
+    for (index, block) in payload[..BLOCKS * 100].chunks_mut(100).enumerate() {
+        let (bank, of_bank) = (index / 3, index % 3);
+        block.copy_from_slice(&before[(2 * bank + of_bank % 2) * 100..][..100]);
+        if of_bank == 2 {
+            block[4..].fill(0xA5);
+        }
+    }
+    payload[1204] = 0x3B;
+}
+
+/// The same of each data packet of a classic little-endian capture of Ethernet frames.
+pub fn add_confidence_to_capture(capture: &Path) {
+    let mut bytes = std::fs::read(capture).unwrap();
+    let mut rest = &mut bytes[24..];
+    while !rest.is_empty() {
+        let len = u32::from_le_bytes(rest[8..12].try_into().unwrap()) as usize;
+        let (frame, tail) = rest[16..].split_at_mut(len);
+        if len == FRAME_HEAD + DATA_LEN {
+            add_confidence(&mut frame[FRAME_HEAD..]);
+        }
+        rest = tail;
+    }
+    std::fs::write(capture, bytes).unwrap();
+}
+
 /// The data packets of a classic little-endian capture of Ethernet frames, in the order of the
 /// file.
 pub fn packets(capture: &Path) -> Vec<RawPacket> {

@@ -29,5 +29,6 @@ mod strips;
 mod sweeps;
 mod truth;
 mod velodyne_decoder;
+mod velodyne_reference;
 mod veloview;
 mod vlp32c_vls128;

@@ -16,7 +16,7 @@ use sweepd::sensor::{Beam, Calibration, ros_yaml, stream};
 use sweepd::wire::hdl64::{BEAMS, Series};
 
 /// Real captures, and their models.
-const CAPTURES: [(&str, &str); 8] = [
+const CAPTURES: [(&str, &str); 10] = [
     ("hdl32e_mrpt-sample", "hdl32e"),
     ("hdl32e_veloview-monterey-a", "hdl32e"),
     ("vlp16_einride-a", "vlp16"),
@@ -25,16 +25,22 @@ const CAPTURES: [(&str, &str); 8] = [
     ("vlp16_rlu-velodyne-example", "vlp16"),
     ("vlp16_timm-dual-a", "vlp16"),
     ("vlp16_veloview-90deg-a", "vlp16"),
+    ("vlp32c_nebula-fov180-a", "vlp32c"),
+    ("vls128_nebula-a", "vls128"),
 ];
 
 /// Simulated captures of the models whose units are all the same: the table in `calib/`, and the
 /// options of `sweepd simulate`.
-const OF_A_TABLE: [(&str, &[&str]); 5] = [
+const OF_A_TABLE: [(&str, &[&str]); 9] = [
     ("vlp16", &[]),
     ("vlp16", &["--returns", "dual"]),
     ("puck-hires", &[]),
     ("hdl32e", &[]),
     ("hdl32e", &["--returns", "dual"]),
+    ("vlp32c", &[]),
+    ("vlp32c", &["--returns", "dual"]),
+    ("vls128", &[]),
+    ("vls128", &["--returns", "dual"]),
 ];
 
 /// Simulated captures of HDL-64E whose calibration is a real one: the model as
@@ -62,7 +68,7 @@ const XIESC: &str = "calib/rosdrivers_64e_s3-xiesc.yaml";
 const SHORT: [&str; 2] = ["--seconds", "0.25"];
 
 /// A folder for one test, empty at its beginning.
-fn folder(test: &str) -> PathBuf {
+pub fn folder(test: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR"))
         .join("velodyne_decoder")
         .join(test);
@@ -85,7 +91,7 @@ fn sweepd(args: &[&OsStr]) {
         .unwrap_or_else(|error| panic!("sweepd {args:?}: {error}"));
 }
 
-fn simulate(options: &[&str], calibration: Option<&Path>, capture: &Path) {
+pub fn simulate(options: &[&str], calibration: Option<&Path>, capture: &Path) {
     let mut args: Vec<&OsStr> = vec![
         "simulate".as_ref(),
         "--force".as_ref(),
@@ -101,8 +107,8 @@ fn simulate(options: &[&str], calibration: Option<&Path>, capture: &Path) {
     sweepd(&args);
 }
 
-/// A capture that sweepd has decoded, to be compared with velodyne-decoder.
-struct Comparison<'a> {
+/// A capture that sweepd has decoded, to be compared with what another decoder makes of it.
+pub struct Comparison<'a> {
     python: &'a OsStr,
     capture: &'a Path,
     model: &'a str,
@@ -110,7 +116,7 @@ struct Comparison<'a> {
 }
 
 impl<'a> Comparison<'a> {
-    fn replay(
+    pub fn replay(
         python: &'a OsStr,
         capture: &'a Path,
         model: &'a str,
@@ -143,15 +149,23 @@ impl<'a> Comparison<'a> {
     /// What is wrong, if anything is; velodyne-decoder uses this calibration, or its own table of
     /// the model.
     fn failures(&self, calibration: Option<&Path>) -> String {
-        let script =
-            Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/compare_velodyne_decoder.py");
+        self.failures_by("compare_velodyne_decoder.py", calibration)
+    }
+
+    /// What is wrong by a script of `tests`, if anything is; the script gets one more file.
+    pub fn failures_by(&self, script: &str, more: Option<&Path>) -> String {
+        let script = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("tests")
+            .join(script);
         let mut args = vec![
+            // What one script imports of another must not be written beside it.
+            "-B".as_ref(),
             script.as_os_str(),
             self.capture.as_os_str(),
             self.model.as_ref(),
             self.csv.as_os_str(),
         ];
-        args.extend(calibration.map(Path::as_os_str));
+        args.extend(more.map(Path::as_os_str));
         match run(self.python, &args) {
             Ok(said) => {
                 print!("{said}");
@@ -238,7 +252,7 @@ fn returns_of_real_units_of_an_hdl64e_are_those_of_velodyne_decoder() {
 }
 
 /// A file name of some options.
-fn named(options: &[&str]) -> String {
+pub fn named(options: &[&str]) -> String {
     options
         .iter()
         .map(|option| option.trim_start_matches('-'))

@@ -4,6 +4,7 @@
 use crate::common;
 use crate::common::raw;
 use crate::common::run::{Placed, Run};
+use crate::common::same::same;
 use std::ops::RangeInclusive;
 use sweepd::sensor::Model;
 use sweepd::simulate::{Emitter, EmitterConfig, Faults, FieldOfView, deliver, fixtures};
@@ -296,6 +297,21 @@ fn a_pole_stands_in_the_image_of_a_vls128() {
     let worst = off.map(f64::abs).fold(0.0, f64::max);
     println!("{count} rows, {rms:.2} columns rms, {worst:.2} at most");
     assert!(rms < 0.5 && worst < 1.5, "{rms} rms, {worst} at most");
+}
+
+#[test]
+fn confidence_is_passed_over() {
+    let config = EmitterConfig::new(Model::Vls128, ReturnMode::Dual).turns(1.3);
+    let mut sent: Vec<_> = Emitter::new(config, &fixtures::scene()).collect();
+    let without = Run::of_datagrams(sent.iter().map(|one| one.datagram()));
+    for data in sent.iter_mut().filter(|one| one.truth.is_some()) {
+        raw::add_confidence(&mut data.payload);
+    }
+    let with = Run::of_datagrams(sent.iter().map(|one| one.datagram()));
+    assert_eq!(with.detection.return_mode, ReturnMode::Dual);
+    let [with, without] = [with, without].map(|run| run.views().iter().map(same).collect());
+    let (with, without): (Vec<_>, Vec<_>) = (with, without);
+    assert!(with.len() >= 2 && with == without);
 }
 
 /// A simulated VLS-128, which rests for a random time after each firing, and what a network lost.
