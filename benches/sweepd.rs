@@ -66,7 +66,7 @@ impl std::fmt::Display for Stream {
     }
 }
 
-const STREAMS: [Stream; 9] = [
+const STREAMS: [Stream; 10] = [
     Stream(Model::Vlp16, ReturnMode::Strongest),
     Stream(Model::Vlp16, ReturnMode::Dual),
     Stream(Model::Hdl32e, ReturnMode::Strongest),
@@ -74,6 +74,7 @@ const STREAMS: [Stream; 9] = [
     Stream(Model::Hdl64eS2, ReturnMode::Strongest),
     Stream(Model::Hdl64eS3, ReturnMode::Dual),
     Stream(Model::Vlp32c, ReturnMode::Strongest),
+    Stream(Model::Vlp32c, ReturnMode::Dual),
     Stream(Model::Vls128, ReturnMode::Strongest),
     Stream(Model::Vls128, ReturnMode::Dual),
 ];
