@@ -7,7 +7,10 @@ use crate::common::run::{Placed, Run};
 use crate::common::same::same;
 use std::ops::RangeInclusive;
 use sweepd::sensor::Model;
-use sweepd::simulate::{Emitter, EmitterConfig, Faults, FieldOfView, deliver, fixtures};
+use sweepd::simulate::gps::Clock;
+use sweepd::simulate::{
+    ClockStep, Emitter, EmitterConfig, Faults, FieldOfView, SimulatedDatagram, deliver, fixtures,
+};
 use sweepd::sweep::layout::flags::LOSS_ESTIMATED;
 use sweepd::wire::data::ReturnMode;
 
@@ -379,5 +382,40 @@ fn a_sector_that_is_left_out_is_no_loss_from_the_second_turn_on() {
                 "{mode}, sweep {number}"
             );
         }
+    }
+}
+
+/// A packet with two returns has one azimuth: how fast the head turns is known from those before,
+/// also when the clock was set in between.
+#[test]
+fn a_clock_that_is_set_does_not_make_azimuths_of_a_vls128_noisy() {
+    let scene = fixtures::scene();
+    for at_ms in 40..44 {
+        let mut config = EmitterConfig::new(Model::Vls128, ReturnMode::Dual).turns(0.75);
+        config.optics.noise_m = 0.0;
+        config.clock = Clock::Free {
+            hour_ns: 1_000_000_000_000,
+        };
+        config.clock_step = Some(ClockStep {
+            at_ns: at_ms * 1_000_000,
+            by_ns: -400_000_000,
+        });
+        let noise_deg = config.encoder.jitter_deg;
+        let sent: Vec<_> = Emitter::new(config, &scene).collect();
+        let truth: Vec<_> = sent.iter().filter_map(|one| one.truth.as_ref()).collect();
+        let run = Run::of_datagrams(sent.iter().map(SimulatedDatagram::datagram));
+        let mut most_deg = 0.0_f64;
+        run.each_return(|placed| {
+            let found = &placed.found;
+            let returns = &truth[found.packet as usize].returns;
+            let truth = returns[usize::from(found.block)][placed.record].as_ref();
+            let off_rad = found.azimuth_rad - truth.expect("it was sent").azimuth_rad;
+            let off_deg = (off_rad.to_degrees() + 180.0).rem_euclid(360.0) - 180.0;
+            most_deg = most_deg.max(off_deg.abs());
+        });
+        assert!(
+            most_deg < noise_deg + 0.01,
+            "set after {at_ms} ms: {most_deg} degrees off"
+        );
     }
 }

@@ -416,10 +416,11 @@ impl PacketMatcher {
         if before == PacketGap::Start {
             self.sector = None;
             self.untold = None;
-            // A change of the return mode does not change the turning rate.
-            self.rate_cdeg_ns = self
-                .rate_cdeg_ns
-                .filter(|_| last.is_none_or(|last| last.mode != packet.mode));
+            // A change of the return mode does not change the turning rate. A packet with one
+            // azimuth does not tell it, and a pair of them only with the encoder's noise.
+            self.rate_cdeg_ns = self.rate_cdeg_ns.filter(|_| {
+                packet.motion.is_single() || last.is_none_or(|last| last.mode != packet.mode)
+            });
         }
         let motion = &packet.motion;
         if let Some(last) = last.filter(|_| matches!(before, PacketGap::None | PacketGap::Blanked))

@@ -216,6 +216,11 @@ impl Motion {
         self.steady_step_cdeg = agrees.then_some(step_cdeg);
     }
 
+    /// Whether the packet gives one azimuth, which does not tell how fast the head turns.
+    pub fn is_single(&self) -> bool {
+        self.count == 1
+    }
+
     fn best_step_cdeg(&self) -> f64 {
         self.steady_step_cdeg.unwrap_or(self.step_cdeg)
     }
