@@ -45,6 +45,8 @@ pub struct Emitter<'a> {
     /// Stamp of the first packet of the status cycle, nanoseconds after the first shot of all.
     cycle_ns: i64,
     position: Option<SimulatedDatagram>,
+    /// Arrival of the last datagram, nanoseconds since 1970.
+    arrived_ns: i64,
     /// Whether to keep the truth of each return.
     tells: bool,
 }
@@ -90,6 +92,7 @@ impl<'a> Emitter<'a> {
             schedule: Schedule::default(),
             cycle_ns: 0,
             position: None,
+            arrived_ns: i64::MIN,
             tells: true,
             config,
         }
@@ -280,8 +283,7 @@ impl Iterator for Emitter<'_> {
             Rng::with_seed(self.config.seed ^ times.ordinal.wrapping_mul(0x9E37_79B9_7F4A_7C15));
         let (packet, truth) = self.data_packet(times, &mut rng);
         let sent_ns = times.end_ns;
-        // A delay of 90 us, and sometimes a busy host; less than a packet period, so that packets
-        // stay in order.
+        // A delay of 90 us, and sometimes a busy host.
         let delay_ns = 90_000
             + rng.i64(0..20_000)
             + if rng.f64() < 0.05 {
@@ -290,13 +292,16 @@ impl Iterator for Emitter<'_> {
                 0
             };
         let arrival_ns = self.config.start_utc_ns + self.config.host_ahead_ns + sent_ns + delay_ns;
+        // A VLS-128 sends more often than that: what waits for a busy host stays in order.
+        let arrival_ns = arrival_ns.max(self.arrived_ns.saturating_add(1_000));
+        self.arrived_ns = arrival_ns;
         // An HDL-64E has no position packets: its status has the same content.
         if self.status.is_none()
             && (times.ordinal + 1).is_multiple_of(self.config.data_per_position)
         {
             let payload = gps::position_packet(&self.config, sent_ns + 10_000, &mut rng);
-            self.position =
-                Some(self.send(arrival_ns + 12_000, POSITION_PORT, payload.to_vec(), None));
+            self.arrived_ns += 12_000;
+            self.position = Some(self.send(self.arrived_ns, POSITION_PORT, payload.to_vec(), None));
         }
         Some(self.send(arrival_ns, DATA_PORT, packet.emit().to_vec(), Some(truth)))
     }

@@ -30,6 +30,8 @@ fn stamps_advance_by_the_truncated_period() {
         (Model::Vlp16, ReturnMode::Dual, [663, 664]),
         (Model::Hdl32e, ReturnMode::Strongest, [552, 553]),
         (Model::Hdl32e, ReturnMode::Dual, [276, 277]),
+        (Model::Vlp32c, ReturnMode::Strongest, [663, 664]),
+        (Model::Vlp32c, ReturnMode::Dual, [331, 332]),
     ] {
         let mut config = exact(model, mode);
         config.clock = Clock::Free {
@@ -142,6 +144,8 @@ fn the_truth_is_what_the_bytes_say_less_the_noise() {
         (Model::Vlp16, ReturnMode::Strongest),
         (Model::Vlp16, ReturnMode::Dual),
         (Model::Hdl32e, ReturnMode::Dual),
+        (Model::Vlp32c, ReturnMode::Strongest),
+        (Model::Vls128, ReturnMode::Dual),
     ] {
         let mut config = EmitterConfig::new(model, mode);
         config.packets = 60;
@@ -151,7 +155,7 @@ fn the_truth_is_what_the_bytes_say_less_the_noise() {
                 for (record, truth) in block.records.iter().zip(truths) {
                     assert_eq!(record.distance.get() != 0, truth.is_some());
                     let Some(truth) = truth else { continue };
-                    let range_m = f64::from(record.distance.get()) * 0.002;
+                    let range_m = f64::from(record.distance.get()) * model.spec().distance_unit_m;
                     assert!(
                         (range_m - truth.range_m).abs() < 0.07,
                         "{range_m} {}",
@@ -550,4 +554,22 @@ fn a_sensor_that_cannot_be_is_refused() {
     beams[7].intensity.as_mut().unwrap().focal_distance_m = 100.0;
     config.calibration = Some(Calibration::new(beams, 0.002).unwrap());
     assert!(check(config).contains("beam 7: focal distance"));
+}
+
+/// A VLS-128 with two returns sends more often than a busy host fetches.
+#[test]
+fn datagrams_of_every_model_arrive_one_after_the_other() {
+    let scene = Scene::new([0.0; 2], 20);
+    for model in Model::ALL {
+        for mode in [ReturnMode::Strongest, ReturnMode::Dual] {
+            let mut config = EmitterConfig::new(model, mode);
+            config.packets = 2_000;
+            if config.check().is_err() {
+                continue;
+            }
+            let sent = Emitter::new(config, &scene);
+            let arrivals: Vec<i64> = sent.map(|one| one.arrival_ns).collect();
+            assert!(arrivals.is_sorted_by(|a, b| a < b), "{model} {mode}");
+        }
+    }
 }
