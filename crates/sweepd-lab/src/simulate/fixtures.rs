@@ -93,10 +93,19 @@ pub fn scene() -> Scene {
     street(2)
 }
 
-/// A VLP-16 in the old town of Frankfurt whose receiver has a fix, on a host whose clock is 3.2 ms
-/// ahead.
+/// A VLP-16 in the old town of Frankfurt.
 fn puck(return_mode: ReturnMode, turns: f64, start_deg: f64) -> EmitterConfig {
-    let mut config = EmitterConfig::new(Model::Vlp16, return_mode).turns(turns);
+    let config = EmitterConfig::new(Model::Vlp16, return_mode).turns(turns);
+    in_the_old_town(config, start_deg, 5)
+}
+
+/// A sensor whose receiver has a fix, on a host whose clock is 3.2 ms ahead. Every model sends about
+/// 150 position packets a second.
+fn in_the_old_town(
+    mut config: EmitterConfig,
+    start_deg: f64,
+    data_per_position: u64,
+) -> EmitterConfig {
     config.clock = Clock::Gps {
         position_deg: (50.110_6, 8.682_1),
         reception: Reception::ALWAYS,
@@ -104,7 +113,7 @@ fn puck(return_mode: ReturnMode, turns: f64, start_deg: f64) -> EmitterConfig {
     // 2026-05-04 10:17:23 UTC.
     config.start_utc_ns = 1_777_889_843_000_000_000;
     config.host_ahead_ns = 3_200_000;
-    config.data_per_position = 5;
+    config.data_per_position = data_per_position;
     config.encoder.start_deg = start_deg;
     config
 }
@@ -197,6 +206,22 @@ pub fn all() -> Vec<Fixture> {
         clean(
             "street_hdl64e_s3_switch.pcap.gz",
             hdl64e_s3(ReturnMode::Strongest, 152.646).seconds(0.4, Some(0.2)),
+        ),
+        clean(
+            "street_vlp32c.pcap.gz",
+            in_the_old_town(
+                EmitterConfig::new(Model::Vlp32c, ReturnMode::Strongest).turns(3.8),
+                119.002,
+                10,
+            ),
+        ),
+        clean(
+            "street_vls128_dual.pcap.gz",
+            in_the_old_town(
+                EmitterConfig::new(Model::Vls128, ReturnMode::Dual).turns(2.8),
+                119.024,
+                120,
+            ),
         ),
     ]
 }
