@@ -7,10 +7,11 @@ use sweepd::admission::{DiscoveredSensors, Refused};
 use sweepd::capture::Capture;
 use sweepd::pipeline::{Config, Counts, Fault, Notice, Pipeline};
 use sweepd::sensor::detect::Detection;
+use sweepd::sensor::model::Spec;
 use sweepd::sweep::buffers::HeapBuffer;
 use sweepd::sweep::{HeapBuffers, Memory, Return, SweepRef};
 use sweepd::wire::Datagram;
-use sweepd::wire::data::RECORDS;
+use sweepd::wire::data::{RECORDS, ReturnMode};
 use sweepd_lab::testkit::stream::push;
 
 /// Ranges at which the two-point correction of an HDL-64E may end: 25.04 m and the distance offset
@@ -18,9 +19,18 @@ use sweepd_lab::testkit::stream::push;
 /// beside.
 pub const AT_FAR_M: std::ops::Range<f64> = 25.9..26.9;
 
-/// How far a range without noise may be off, metres: half of 2 mm, what a number of 24 bits loses
-/// of 100 m, and what no packet can say at the end of the correction.
-pub const RANGE_M: f64 = 0.001_1;
+/// How far a range without noise may be off, metres: half a unit, what a number of 24 bits loses of
+/// 100 m, and what no packet can say at the end of the correction.
+pub fn range_m(spec: &Spec) -> f64 {
+    spec.distance_unit_m / 2.0 + 0.000_1
+}
+
+/// How far times within a packet may be off because it does not tell how long the lasers rested
+/// after each firing, nanoseconds. A single rest is within the deviation and the root of 6.
+pub fn walk_ns(spec: &Spec, mode: ReturnMode) -> i64 {
+    let rests = spec.firings_per_packet(mode) as f64;
+    (spec.firing_deviation_ns(mode) * 6.0_f64.sqrt() * rests) as i64
+}
 
 /// What came of the datagrams of one sensor.
 pub struct Run {

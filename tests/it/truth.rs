@@ -4,7 +4,7 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use crate::common::run::{AT_FAR_M, Placed, RANGE_M, Run};
+use crate::common::run::{AT_FAR_M, Placed, Run, range_m, walk_ns};
 use sweepd::pipeline::Config;
 use sweepd::sensor::Model;
 use sweepd::simulate::fixtures::{self, Fixture};
@@ -102,8 +102,7 @@ fn check(fixture: &Fixture, sent: &[SimulatedDatagram], run: &Run, range_m: f64)
         Clock::Gps { .. } => 0,
     };
     let spec = fixture.config.spec;
-    let rests = spec.firing_deviation_ns(fixture.config.return_mode) > 0.0;
-    let walk_ns = if rests { 2_500 } else { 0 };
+    let walk_ns = walk_ns(spec, fixture.config.return_mode);
     let (mut worst, mut beside) = (Worst::default(), 0);
     for placed in &returns {
         let (found, truth) = (&placed.found, truth.get(placed));
@@ -185,7 +184,7 @@ fn without_noise_only_rounding_is_left() {
             calibrated(&fixture),
             sent.iter().map(SimulatedDatagram::datagram),
         );
-        check(&fixture, &sent, &run, RANGE_M);
+        check(&fixture, &sent, &run, range_m(fixture.config.spec));
     }
 }
 
@@ -226,9 +225,7 @@ fn every_model_gives_back_the_truth_at_every_speed() {
                     sent.iter().map(SimulatedDatagram::datagram),
                 );
                 println!("{model} {mode} {rpm} rpm, jitter {jitter_deg}:");
-                // Half a unit, of which most sensors have two millimetres.
-                let range_m = RANGE_M + spec.distance_unit_m / 2.0 - 0.001;
-                check(&fixture, &sent, &run, range_m);
+                check(&fixture, &sent, &run, range_m(spec));
             }
         }
     }

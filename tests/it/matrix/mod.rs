@@ -25,7 +25,7 @@ use std::time::Instant;
 use self::cases::{Case, cases};
 use self::stream::{KINDS, Kind, Stock};
 use self::table::Row;
-use sweepd::sensor::Model::{Hdl32e, Hdl64eS2, Hdl64eS3, Vlp16};
+use sweepd::sensor::Model::{Hdl32e, Hdl64eS2, Hdl64eS3, Vlp16, Vlp32c, Vls128};
 use sweepd::wire::data::ReturnMode::{Dual, Strongest};
 
 /// One cell: its row, red if something does not hold.
@@ -93,7 +93,7 @@ fn judge(rows: &[Row], begun: Instant) {
 }
 
 /// The short form: every fault at one rate on the lightest sensor, and on each of the heavier ones
-/// every ninth.
+/// every fifteenth.
 #[test]
 fn every_fault_at_one_rate() {
     let begun = Instant::now();
@@ -102,6 +102,8 @@ fn every_fault_at_one_rate() {
         (Hdl32e, Strongest),
         (Hdl64eS2, Strongest),
         (Hdl64eS3, Dual),
+        (Vlp32c, Strongest),
+        (Vls128, Strongest),
     ]
     .map(Kind::from);
     let mut faults: Vec<&str> = cases().iter().map(|case| case.fault).collect();
@@ -109,7 +111,7 @@ fn every_fault_at_one_rate() {
     let is_wanted = |case: &Case, kind: Kind| {
         let fault = faults.iter().position(|&fault| fault == case.fault);
         let only = if (case.fits)(kinds[0]) {
-            kinds[1 + fault.unwrap_or(0) / 3 % 3]
+            kinds[1 + fault.unwrap_or(0) / 3 % 5]
         } else {
             kinds[2]
         };

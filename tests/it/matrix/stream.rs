@@ -1,13 +1,13 @@
 //! What is sent: clean streams with truth, and the same with faults.
 
-use sweepd::sensor::Model::{self, Hdl32e, Hdl64eS2, Hdl64eS3, PuckHiRes, PuckLite, Vlp16};
+use sweepd::sensor::Model::{
+    self, Hdl32e, Hdl64eS2, Hdl64eS3, PuckHiRes, PuckLite, Vlp16, Vlp32c, Vls128,
+};
 use sweepd::simulate::{
     Emitter, EmitterConfig, Faults, FieldOfView, Motor, Rates, Scene, SimulatedDatagram,
     SpeedChange, deliver, fixtures,
 };
 use sweepd::wire::data::ReturnMode::{self, Dual, Strongest};
-
-use crate::common::run::RANGE_M;
 
 pub const MS: i64 = 1_000_000;
 /// How long a stream is, turns at 600 a minute; when faults begin, and the latest time at which
@@ -34,7 +34,7 @@ const fn kind(model: Model, mode: ReturnMode) -> Kind {
 }
 
 /// All that there are.
-pub const KINDS: [Kind; 11] = [
+pub const KINDS: [Kind; 15] = [
     kind(Vlp16, Strongest),
     kind(Vlp16, Dual),
     kind(PuckLite, Strongest),
@@ -46,6 +46,10 @@ pub const KINDS: [Kind; 11] = [
     kind(Hdl64eS2, Strongest),
     kind(Hdl64eS3, Strongest),
     kind(Hdl64eS3, Dual),
+    kind(Vlp32c, Strongest),
+    kind(Vlp32c, Dual),
+    kind(Vls128, Strongest),
+    kind(Vls128, Dual),
 ];
 
 /// A sensor's clean stream, from which most others are made.
@@ -81,11 +85,11 @@ pub struct Promise {
     pub counts: Told,
     /// Flags of which each must be seen while the fault lasts, and that nothing has afterwards.
     pub flags: u32,
-    /// Ranges are off by less than this, millimetres.
+    /// Ranges are off by less than this beyond rounding, millimetres.
     pub range_mm: f64,
     /// Azimuths are off by at most this, degrees.
     pub azimuth_deg: f64,
-    /// Times are off by less than this, nanoseconds; `None` where the sensor's clock is set.
+    /// Times are off by less than this beyond random rests, nanoseconds; `None` where the sensor's clock is set.
     pub time_ns: Option<i64>,
     /// Sweeps are whole again at the latest this many revolutions after the fault.
     pub recovery_turns: f64,
@@ -119,7 +123,7 @@ impl Promise {
     pub const NONE: Self = Self {
         counts: Told::Exactly,
         flags: 0,
-        range_mm: RANGE_M * 1e3,
+        range_mm: 0.0,
         azimuth_deg: 0.035,
         time_ns: Some(1_000),
         recovery_turns: 1.06,
