@@ -9,7 +9,7 @@ use crate::common::same::same;
 use sweepd::assemble::lanes::levels;
 use sweepd::pipeline::{Config, Pipeline, TimedSegmenter};
 use sweepd::segment::Segmenter;
-use sweepd::sensor::Model::{Hdl32e, Hdl64eS2, Hdl64eS3, Vlp16};
+use sweepd::sensor::Model::{Hdl32e, Hdl64eS2, Hdl64eS3, Vlp16, Vlp32c, Vls128};
 use sweepd::simulate::gps::{Clock, Reception};
 use sweepd::simulate::{Emitter, EmitterConfig, Rates, SimulatedDatagram, deliver, fixtures};
 use sweepd::sweep::layout::flags::HEIGHT_ESTIMATED;
@@ -24,7 +24,7 @@ struct Stream {
     sweeps: Vec<Vec<u8>>,
 }
 
-/// Four sensors on a street, one of them with GPS.
+/// A sensor of each kind on a street, one of them with GPS.
 static STREAMS: LazyLock<Vec<Stream>> = LazyLock::new(|| {
     let scene = fixtures::scene();
     let kinds = [
@@ -32,9 +32,12 @@ static STREAMS: LazyLock<Vec<Stream>> = LazyLock::new(|| {
         (Hdl32e, Strongest),
         (Hdl64eS2, Strongest),
         (Hdl64eS3, Dual),
+        (Vlp32c, Strongest),
+        (Vls128, Dual),
     ];
     let streams = kinds.into_iter().map(|(model, mode)| {
-        let mut sensor = EmitterConfig::new(model, mode).turns(5.0);
+        let mut sensor =
+            EmitterConfig::new(model, mode).turns(if model == Vls128 { 4.0 } else { 5.0 });
         if model == Vlp16 {
             sensor.clock = Clock::Gps {
                 position_deg: (50.1, 8.7),

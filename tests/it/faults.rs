@@ -5,20 +5,22 @@ use sweepd_lab::testkit::stream;
 
 use proptest::prelude::*;
 use sweepd::pipeline::{Counts, Pipeline};
-use sweepd::sensor::Model::{self, Hdl32e, Hdl64eS3, Vlp16};
+use sweepd::sensor::Model::{self, Hdl32e, Hdl64eS3, Vlp16, Vlp32c};
 use sweepd::sweep::layout::flags::{BLANKED, CIRCULAR, PARTIAL, RATE_UNSTABLE, REVERSED, STOPPED};
 use sweepd::sweep::{HeapBuffers, Memory};
 use sweepd::wire::data::DataPacket;
 use sweepd::wire::data::ReturnMode::{self, Dual, Last, Strongest};
 use sweepd_lab::testkit::stream::{Content, Run, Sent, Spin, config, cut_at};
 
-const KINDS: [(Model, ReturnMode); 6] = [
+const KINDS: [(Model, ReturnMode); 8] = [
     (Vlp16, Strongest),
     (Vlp16, Dual),
     (Hdl32e, Strongest),
     (Hdl32e, Dual),
     (Hdl64eS3, Strongest),
     (Hdl64eS3, Dual),
+    (Vlp32c, Strongest),
+    (Vlp32c, Dual),
 ];
 
 /// Nothing is wrong but what `expected` says.

@@ -96,6 +96,8 @@ fn no_byte_of_a_sweep_is_left_over() {
         (Hdl64eS3, Dual),
         (Hdl32e, Dual),
         (Vlp16, Strongest),
+        (Vlp32c, Strongest),
+        (Vls128, Dual),
     ]) {
         for rpm in [-620.0, 1180.0] {
             for fov in [None, Some((27_000.0, 9_100.0))] {

@@ -149,6 +149,7 @@ mod tests {
         for (model, mode) in [
             (Model::Vlp16, ReturnMode::Strongest),
             (Model::Hdl64eS3, ReturnMode::Dual),
+            (Model::Vlp32c, ReturnMode::Strongest),
         ] {
             let mut config = EmitterConfig::new(model, mode).turns(3.0);
             let all = config.packets;

@@ -324,14 +324,17 @@ impl Run {
     #[track_caller]
     fn found(&self, packets: usize) -> Wire {
         let mut found = Wire::new(packets);
-        for one in self.views().iter().flat_map(SweepRef::returns) {
-            let distance = (f64::from(one.range_m) / 0.002).round() as u16;
-            found.add(
-                one.packet as usize,
-                usize::from(one.block),
-                one.channel,
-                (distance, one.reflectivity),
-            );
+        for sweep in self.views() {
+            let unit_m = model_of(&sweep).spec().distance_unit_m;
+            for one in sweep.returns() {
+                let distance = (f64::from(one.range_m) / unit_m).round() as u16;
+                found.add(
+                    one.packet as usize,
+                    usize::from(one.block),
+                    one.channel,
+                    (distance, one.reflectivity),
+                );
+            }
         }
         found
     }
@@ -339,19 +342,22 @@ impl Run {
     /// The returns of the packets that were decoded.
     #[track_caller]
     fn expected(&self, decoded: &BTreeSet<usize>, arrived: &[DataPacket]) -> Wire {
-        let mut rows = vec![0; arrived.len()];
+        let mut used = vec![(0, 0); arrived.len()];
         for sweep in self.views() {
+            let places = model_of(&sweep).spec().places(sweep.header.return_mode());
+            let blocks = places.blocks * places.azimuths;
             for column in sweep.columns.iter().filter(|column| column.is_measured()) {
-                rows[column.packet as usize] = sweep.rows();
+                used[column.packet as usize] = (sweep.rows(), blocks);
             }
         }
         let mut expected = Wire::new(arrived.len());
         for &number in decoded {
-            for (block, stored) in arrived[number].blocks.iter().enumerate() {
+            let (rows, blocks) = used[number];
+            for (block, stored) in arrived[number].blocks[..blocks].iter().enumerate() {
                 for (index, record) in stored.records.iter().enumerate() {
                     let measured = (record.distance.get(), record.reflectivity);
                     if measured.0 != 0 {
-                        expected.add(number, block, index % rows[number], measured);
+                        expected.add(number, block, index % rows, measured);
                     }
                 }
             }
@@ -404,6 +410,10 @@ impl Run {
         };
         self.views().into_iter().map(content).collect()
     }
+}
+
+fn model_of(sweep: &SweepRef<'_>) -> Model {
+    Model::from_code(sweep.header.model).expect("the model of a sweep")
 }
 
 /// See [`Run::content`].
