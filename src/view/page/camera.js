@@ -1,0 +1,95 @@
+// The camera of the 3-D view: it looks at a target from a distance, turned by yaw (0 looks forward) and pitch (a quarter
+// turn looks straight down).
+
+const LEAST_M = 0.5;
+const MOST_M = 800;
+
+/** Where a view looks from: metres and radians. */
+export const VIEWS = {
+  orbit: { target: [0, 4, 0], yaw: -0.6, pitch: 0.55, distance: 34, field: 0.9 },
+  above: { target: [0, 0, 0], yaw: 0, pitch: Math.PI / 2, distance: 62, field: 0.9 },
+  behind: { target: [0, 10, 0], yaw: 0, pitch: 0.3, distance: 26, field: 0.9 },
+  // As the sensor sees: turning looks around, zooming narrows the field.
+  sensor: { target: [0, 0, 0], yaw: 0, pitch: 0, distance: 0, field: 1.25 },
+};
+
+export class Camera {
+  constructor() {
+    this.look("orbit");
+  }
+
+  /** Takes one of VIEWS. */
+  look(name) {
+    const { target, ...rest } = VIEWS[name];
+    Object.assign(this, rest, { target: [...target], view: name });
+  }
+
+  /** Directions of the screen in space: right, up, and into it. */
+  axes() {
+    const [sinYaw, cosYaw, sin, cos] = [
+      Math.sin(this.yaw), Math.cos(this.yaw), Math.sin(this.pitch), Math.cos(this.pitch),
+    ];
+    return {
+      right: [cosYaw, -sinYaw, 0],
+      up: [sinYaw * sin, cosYaw * sin, cos],
+      into: [sinYaw * cos, cosYaw * cos, -sin],
+    };
+  }
+
+  eye() {
+    const { into } = this.axes();
+    return this.target.map((value, axis) => value - into[axis] * this.distance);
+  }
+
+  turn(right, down) {
+    // From the sensor, the scene follows the hand; else the camera goes around it.
+    const sign = this.distance === 0 ? -1 : 1;
+    this.yaw += sign * right;
+    this.pitch = Math.min(Math.PI / 2, Math.max(this.distance === 0 ? -1.5 : -0.3, this.pitch + sign * down));
+  }
+
+  /** Moves by pixels of a view that is `height` pixels high. */
+  pan(right, down, height) {
+    if (this.distance === 0) return this.turn((right / height) * this.field, (down / height) * this.field);
+    const { right: x, up: y } = this.axes();
+    const metres = (2 * this.distance * Math.tan(this.field / 2)) / height;
+    this.target = this.target.map((value, axis) => value + (-right * x[axis] + down * y[axis]) * metres);
+  }
+
+  /** Nearer (less than 1) or farther, by a factor. */
+  zoom(factor) {
+    if (this.distance === 0) this.field = Math.min(1.9, Math.max(0.05, this.field * factor));
+    else this.distance = Math.min(MOST_M, Math.max(LEAST_M, this.distance * factor));
+  }
+
+  /** The matrix from space to clip space, column after column. */
+  matrix(aspect) {
+    const { right, up, into } = this.axes();
+    const eye = this.eye();
+    const dot = (axis) => axis[0] * eye[0] + axis[1] * eye[1] + axis[2] * eye[2];
+    const scale = 1 / Math.tan(this.field / 2);
+    const near = Math.max(0.1, this.distance * 0.01);
+    const far = 2000;
+    const [depth, offset] = [(far + near) / (far - near), (2 * far * near) / (far - near)];
+    const matrix = new Float32Array(16);
+    for (let axis = 0; axis < 3; axis++) {
+      matrix[4 * axis] = (right[axis] * scale) / aspect;
+      matrix[4 * axis + 1] = up[axis] * scale;
+      matrix[4 * axis + 2] = into[axis] * depth;
+      matrix[4 * axis + 3] = into[axis];
+    }
+    matrix[12] = (-dot(right) * scale) / aspect;
+    matrix[13] = -dot(up) * scale;
+    matrix[14] = -dot(into) * depth - offset;
+    matrix[15] = -dot(into);
+    return matrix;
+  }
+}
+
+/** Where a point is in a view: x and y in pixels from the upper left, and its depth, not positive behind the eye. */
+export function project(matrix, [x, y, z], { left, top, width, height }) {
+  const depth = matrix[3] * x + matrix[7] * y + matrix[11] * z + matrix[15];
+  const across = matrix[0] * x + matrix[4] * y + matrix[8] * z + matrix[12];
+  const upward = matrix[1] * x + matrix[5] * y + matrix[9] * z + matrix[13];
+  return [left + (1 + across / depth) * 0.5 * width, top + (1 - upward / depth) * 0.5 * height, depth];
+}
