@@ -43,6 +43,7 @@ fn tell_what_is_missing() {
         ("compilers", has("cc") && has("c++") && has("cmake")),
         ("strace", has("strace")),
         ("systemd", has("systemd-analyze")),
+        ("chromium", has("chromium")),
         (
             "ros",
             ROS.iter().all(|name| std::env::var_os(name).is_some()) && has_fastdds(),

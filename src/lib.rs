@@ -81,6 +81,7 @@ pub mod export;
 pub mod files;
 mod suggest;
 mod text;
+mod view;
 
 /// Version of this build, with the commit in a release build of a repository: `0.1.0 (6707b6746
 /// 2026-11-24)`.

@@ -12,6 +12,7 @@ fn main() -> ExitCode {
         Command::Replay(args) => sweepd::cli::replay::run(&args),
         Command::Record(args) => sweepd::cli::record::run(&args),
         Command::Watch(args) => sweepd::cli::watch::run(&args),
+        Command::View(args) => sweepd::cli::view::run(&args),
         Command::Doctor(args) => sweepd::cli::doctor::run(&args),
         Command::Inspect(args) => sweepd::cli::inspect::run(&args),
         Command::Calib(args) => sweepd::cli::calib::run(&args),

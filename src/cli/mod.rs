@@ -21,6 +21,7 @@ pub mod run;
 pub mod send;
 pub mod signals;
 pub mod tables;
+pub mod view;
 pub mod watch;
 
 use std::ffi::OsString;
@@ -54,6 +55,8 @@ pub enum Command {
     Record(record::Args),
     /// Watch the sweeps that a running daemon shares
     Watch(Box<watch::Args>),
+    /// Look at a capture, a simulation or a running sensor on a page in the browser
+    View(Box<view::Args>),
     /// Listen to the sensors, and print faults and how to fix them
     Doctor(doctor::Args),
     /// Describe a capture: its sensors, their settings and faults

@@ -1,0 +1,199 @@
+//! Segments a sweep anew with the options of a page.
+
+use std::collections::BTreeMap;
+
+use hyper::body::Bytes;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use super::stage::sweep_bytes;
+use sweepd_client::host::monotonic_ns;
+use sweepd_core::pipeline::TimedSegmenter;
+use sweepd_core::segment::settings::{Table, Unit};
+use sweepd_core::segment::{Config, MAX_ROWS, Method, SETTINGS, Segmenter, Setting};
+use sweepd_core::sweep::layout::Part;
+use sweepd_core::sweep::{Buffers, Header, HeapBuffers, SweepMut, SweepRef};
+use zerocopy::FromBytes;
+
+/// Methods by name, the default first.
+const METHODS: [(&str, Method); 2] = [("slope", Method::Slope), ("paper", Method::Paper)];
+
+/// What a page asks for; what it does not name stays as it is.
+#[derive(Clone, Debug, Deserialize)]
+pub(super) struct Wish {
+    method: Option<String>,
+    settings: Option<BTreeMap<String, Option<f64>>>,
+}
+
+impl Wish {
+    /// The configuration that it makes of another one; none where it ends the tuning.
+    ///
+    /// # Errors
+    /// What is refused, for people.
+    pub(super) fn config(&self, base: &Config) -> Result<Option<Config>, String> {
+        let Some(values) = &self.settings else {
+            return Ok(None);
+        };
+        let mut config = base.clone();
+        if let Some(name) = &self.method {
+            let method = METHODS.iter().find(|(known, _)| known == name);
+            let (_, method) = method.ok_or("the method is slope or paper")?;
+            config.method = *method;
+        }
+        for (key, value) in values {
+            let setting = SETTINGS.iter().find(|setting| setting.key == *key);
+            let setting = setting.ok_or("there is no such setting")?;
+            match *value {
+                Some(value) if setting.allows(value) => setting.set(&mut config, value),
+                Some(_) => return Err(format!("{key}: expected {}", setting.expected())),
+                None if setting.absent.is_empty() => {
+                    return Err(format!("{key}: expected {}", setting.expected()));
+                }
+                None => setting.take(&mut config, &Config::default()),
+            }
+        }
+        config.check().map_err(|error| error.to_string())?;
+        Ok(Some(config))
+    }
+}
+
+/// The table of settings, for a page.
+pub(super) fn settings(now: &Config) -> Value {
+    let default = Config::default();
+    let row = |setting: &Setting| {
+        json!({
+            "key": setting.key,
+            "unit": match setting.unit {
+                Unit::Count => "",
+                Unit::Degrees => "deg",
+                Unit::Metres => "m",
+                Unit::Slope => "m/m",
+            },
+            "default": setting.get(&default),
+            "now": setting.get(now),
+            "least": setting.range.start(),
+            "most": setting.range.end(),
+            "what": setting.doc,
+            "absent": setting.absent,
+        })
+    };
+    SETTINGS.iter().map(row).collect()
+}
+
+/// The names of the methods, the default first.
+pub(super) fn methods() -> Value {
+    METHODS.iter().map(|(name, _)| *name).collect()
+}
+
+/// The name of a configuration's method.
+pub(super) fn method(config: &Config) -> &'static str {
+    let known = METHODS.iter().find(|(_, method)| *method == config.method);
+    known.map_or("", |(name, _)| name)
+}
+
+/// The lines of a sensor in the daemon's configuration that give this one.
+pub(super) fn lines(config: &Config) -> String {
+    let default = Config::default();
+    let mut text = String::new();
+    for (table, head) in [
+        (Table::Mount, "[sensor.mount]"),
+        (Table::Segment, "[sensor.segment]"),
+    ] {
+        let mut lines = String::new();
+        if table == Table::Segment && config.method != default.method {
+            lines += &format!("method = \"{}\"\n", method(config));
+        }
+        for setting in SETTINGS.iter().filter(|setting| setting.table == table) {
+            if let Some(value) = setting.get(config)
+                && !setting.is_same(config, &default)
+            {
+                lines += &format!("{} = {value}\n", setting.key);
+            }
+        }
+        if !lines.is_empty() {
+            text += &format!("{head}\n{lines}");
+        }
+    }
+    if text.is_empty() {
+        text.push_str("# nothing differs from the defaults\n");
+    }
+    text
+}
+
+/// Segments copies of sweeps.
+#[derive(Default)]
+pub(super) struct Tuner {
+    buffers: HeapBuffers,
+    segmenter: Option<(Config, TimedSegmenter)>,
+}
+
+impl Tuner {
+    /// A copy of a sweep, segmented like this. The height is that of the configuration, else that in
+    /// the sweep's header.
+    ///
+    /// # Errors
+    /// Why it cannot be, for people.
+    pub(super) fn segment(&mut self, bytes: &[u8], config: &Config) -> Result<Bytes, String> {
+        let mut buffer = self.copy(bytes, config.min_points)?;
+        let mut sweep = SweepMut::open(buffer.as_mut()).map_err(|error| error.to_string())?;
+        // What was spent on the sweep itself.
+        sweep.header.ground_ns = 0;
+        if sweep.header.rows as usize > MAX_ROWS {
+            return Err(format!(
+                "the sweep has {} rows, more than {MAX_ROWS}",
+                sweep.header.rows
+            ));
+        }
+        self.segmenter(config)?.segment(&mut sweep);
+        // Of the table, only what is filled is sent.
+        let mut shape = sweep.header.shape();
+        shape.segments_capacity = sweep.header.segments as usize;
+        let (offsets, total_bytes) = shape.offsets();
+        sweep.header.segments_capacity = sweep.header.segments;
+        (sweep.header.offsets, sweep.header.total_bytes) = (offsets, total_bytes as u64);
+        sweep_bytes(buffer).ok_or_else(|| "the sweep cannot be read".to_owned())
+    }
+
+    fn segmenter(&mut self, config: &Config) -> Result<&mut TimedSegmenter, String> {
+        let kept = self.segmenter.take().filter(|(of, _)| of == config);
+        let (_, segmenter) = match kept {
+            Some(kept) => self.segmenter.insert(kept),
+            None => {
+                let segmenter =
+                    Segmenter::new(config.clone()).map_err(|error| error.to_string())?;
+                let segmenter =
+                    TimedSegmenter::new(segmenter.with_heights_in_headers(), monotonic_ns);
+                self.segmenter.insert((config.clone(), segmenter))
+            }
+        };
+        Ok(segmenter)
+    }
+
+    /// A copy with room for all segments that there can be of this many points: the table is the
+    /// last part of a sweep.
+    fn copy(
+        &mut self,
+        bytes: &[u8],
+        min_points: u32,
+    ) -> Result<sweepd_core::sweep::buffers::HeapBuffer, String> {
+        let header = *SweepRef::open(bytes)
+            .map_err(|error| error.to_string())?
+            .header;
+        let mut shape = header.shape();
+        let pixels = shape.rows * header.columns as usize;
+        shape.segments_capacity = pixels / (min_points as usize).max(1) + 1;
+        let (offsets, total_bytes) = shape.offsets();
+        let mut buffer = self.buffers.take(total_bytes);
+        let copy = buffer.as_mut();
+        let table = offsets[Part::Segments as usize] as usize;
+        let (Some(from), Some(to)) = (bytes.get(..table), copy.get_mut(..table)) else {
+            return Err("the sweep cannot be read".to_owned());
+        };
+        to.copy_from_slice(from);
+        let (copied, _) = Header::mut_from_prefix(copy).map_err(|error| error.to_string())?;
+        copied.segments = 0;
+        copied.segments_capacity = shape.segments_capacity as u32;
+        (copied.offsets, copied.total_bytes) = (offsets, total_bytes as u64);
+        Ok(buffer)
+    }
+}

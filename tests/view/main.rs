@@ -1,0 +1,9 @@
+//! `sweepd view` as a page in a browser meets it, over shipped captures, simulations, and sensors that
+//! the tests publish.
+
+mod browser;
+mod captures;
+mod hostile;
+mod live;
+mod page;
+mod tuning;
