@@ -67,8 +67,9 @@ pub(super) fn within(
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Sensor")]
 pub struct SensorOptions {
-    /// Model: vlp16, puck-lite, puck-hires, hdl32e, hdl64e-s2 (S2.1 too) or hdl64e-s3 [default:
-    /// detected from the packets: factory bytes, heads and period]
+    /// Model: vlp16, puck-lite, puck-hires, vlp32c (VLP-32MR too), hdl32e, hdl64e-s2 (S2.1 too),
+    /// hdl64e-s3 or vls128 [default: detected from the packets: factory bytes, heads, turn and
+    /// period]
     #[arg(long, value_name = "MODEL", value_parser = model)]
     pub model: Option<Model>,
     /// Calibration of the unit, db.xml or ROS YAML [default: the model's own table; of an HDL-64E,

@@ -40,7 +40,7 @@ pub struct Args {
     #[arg(long, value_name = "FORMAT")]
     format: Option<Format>,
     /// For clouds in any order: each point goes to the beam of this model that passes it nearest:
-    /// vlp16, puck-lite, puck-hires or hdl32e
+    /// vlp16, puck-lite, puck-hires, vlp32c, hdl32e or vls128
     #[arg(long, value_name = "MODEL", value_parser = model)]
     model: Option<Model>,
     /// The same with the beams of a unit: its calibration, db.xml or ROS YAML; an HDL-64E needs one

@@ -53,8 +53,9 @@ Examples:
   sweepd simulate --model vlp16 --loss 1 --pcap lossy.pcap --truth truth
   sweepd simulate --from-cloud 0.bin --calibration unit.xml --pcap real.pcap")]
 pub struct Args {
-    /// Model: vlp16, puck-lite, puck-hires, hdl32e, hdl64e-s2 (S2.1 too) or hdl64e-s3; several
-    /// times for several sensors in one scene, with the addresses 192.168.1.201, 192.168.1.202, ...
+    /// Model: vlp16, puck-lite, puck-hires, vlp32c, hdl32e, hdl64e-s2 (S2.1 too), hdl64e-s3 or
+    /// vls128; several times for several sensors in one scene, with the addresses 192.168.1.201,
+    /// 192.168.1.202, ...
     #[arg(long = "model", value_name = "MODEL", required_unless_present = "from_cloud", value_parser = model)]
     pub(super) models: Vec<Model>,
     /// Scene: street, parking-lot, field or room
