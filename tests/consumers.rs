@@ -1,5 +1,6 @@
-//! What other languages make of a sweep: `docs/layout.md`, `examples/sweepd.h` and
-//! `examples/consumer.py` against the Rust types, and the example consumers against a publisher.
+//! What other languages make of a sweep: `docs/layout.md`, `examples/sweepd.h`,
+//! `examples/consumer.py` and the page's `sweep.js` against the Rust types, and the example
+//! consumers against a publisher.
 //!
 //! A C and a C++ compiler are wanted, and a Python (`SWEEPD_PYTHON`) with the
 //! packages `iceoryx2` 0.10.0 and `numpy`. Where they are missing the tests are ignored;
@@ -20,6 +21,8 @@ mod programs;
 mod python;
 #[path = "consumers/refusals.rs"]
 mod refusals;
+#[path = "consumers/script.rs"]
+mod script;
 #[path = "consumers/sweeps.rs"]
 mod sweeps;
 
