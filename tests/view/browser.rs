@@ -9,7 +9,8 @@ use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
 use serde_json::{Value, json};
-use sweepd_lab::testkit::{PATIENCE, Process};
+use sweepd_lab::testkit::daemon::run_command;
+use sweepd_lab::testkit::{Daemon, PATIENCE, Process, ReservedPort, TempDomain};
 use tempfile::TempDir;
 use tokio::net::TcpStream;
 use tokio::runtime::{Builder, Runtime};
@@ -462,10 +463,9 @@ fn keys_time_line_and_sliders_do_what_they_say() {
     tab.close();
 }
 
-/// A live sensor is drawn while it turns.
 #[test]
 #[cfg_attr(without_chromium, ignore = "no chromium")]
-fn a_simulated_sensor_is_drawn_as_it_turns() {
+fn a_simulation_is_drawn_as_it_turns() {
     let view = View::start(&["--simulate", "vlp16"]);
     let mut tab = Tab::open(&format!("http://{}/", view.host));
     tab.wait_for("window.sweepd.sweeps > 20");
@@ -474,4 +474,132 @@ fn a_simulated_sensor_is_drawn_as_it_turns() {
     assert!(tab.number("window.sweepd.points") > 10_000);
     tab.picture("simulated_vlp16");
     tab.close();
+}
+
+/// A daemon, and what a sensor of this model sends to it, again and again.
+struct Robot {
+    _sensor: Process,
+    _daemon: Daemon,
+    _ports: [ReservedPort; 3],
+    own: TempDomain,
+}
+
+impl Robot {
+    fn start(model: &str) -> Self {
+        let own = TempDomain::new("sweepd-").unwrap();
+        let ports: [ReservedPort; 3] = std::array::from_fn(|_| ReservedPort::new().unwrap());
+        let [http, data, position] = &ports;
+        let config = own.path("sweepd.toml");
+        let text = format!(
+            "http = \"{}\"\nroot = \"{}\"\n[[sensor]]\nname = \"roof\"\naddress = \"127.0.0.1\"\n\
+             bind = \"127.0.0.1\"\nport = {}\nposition_port = {}\n",
+            http.address(),
+            own.root().display(),
+            data.number(),
+            position.number(),
+        );
+        fs::write(&config, text).unwrap();
+        let program = Path::new(env!("CARGO_BIN_EXE_sweepd"));
+        let daemon = Daemon::start(&mut run_command(program, &config), http.address()).unwrap();
+        let capture = own.path("sensor.pcap");
+        let capture = capture.to_str().unwrap();
+        sweepd(&[
+            "simulate",
+            "--model",
+            model,
+            "--seconds",
+            "5",
+            "--pcap",
+            capture,
+        ]);
+        let mut sensor = Command::new(program);
+        sensor
+            .args([
+                "replay",
+                "--loop",
+                "--to",
+                &data.address().to_string(),
+                capture,
+            ])
+            .stdout(Stdio::null());
+        Self {
+            _sensor: Process::start(&mut sensor).unwrap(),
+            _daemon: daemon,
+            _ports: ports,
+            own,
+        }
+    }
+
+    fn view(&self) -> View {
+        View::start(&["roof", "--root", self.own.root().to_str().unwrap()])
+    }
+}
+
+#[test]
+#[cfg_attr(without_chromium, ignore = "no chromium")]
+fn a_sensor_of_the_daemon_is_drawn_as_it_turns() {
+    let robot = Robot::start("vlp16");
+    let view = robot.view();
+    let mut tab = Tab::open(&format!("http://{}/", view.host));
+    tab.wait_for("window.sweepd.sweeps > 20");
+    let sequence = tab.number("Number(window.sweepd.sequence)");
+    tab.wait_for(&format!("window.sweepd.sequence > {sequence} + 5"));
+    assert_eq!(
+        tab.value("window.sweepd.points"),
+        tab.value("window.sweepd.returns")
+    );
+    tab.picture("sensor_vlp16");
+    tab.close();
+}
+
+/// A line every tenth of the time: what was drawn and missed, and the memory of all processes.
+#[test]
+#[ignore = "a measurement: prints figures. SWEEPD_SECONDS says how long"]
+fn measure_a_live_hdl64e() {
+    let seconds = std::env::var("SWEEPD_SECONDS").map_or(60, |text| text.parse().unwrap());
+    let robot = Robot::start("hdl64e-s2");
+    let view = robot.view();
+    let mut tab = Tab::open(&format!("http://{}/", view.host));
+    tab.wait_for("window.sweepd.sweeps > 20");
+    for step in 0..=10 {
+        let facts = tab.text(
+            "(() => { const { sweeps, sequence, points, latency_ms, drawing_ms } = window.sweepd; \
+             return `sequence ${sequence}, drawn ${sweeps}, ${points} points, latency ${latency_ms} ms, drawing ${drawing_ms} ms, \
+             heap ${performance.memory.usedJSHeapSize >> 20} MB`; })()",
+        );
+        let server = resident_kb(view.process.child.id());
+        let browser: u64 = descendants(tab.process.child.id()).map(resident_kb).sum();
+        println!(
+            "{:4} s: {facts}; server {server} kB, browser {browser} kB",
+            step * seconds / 10
+        );
+        std::thread::sleep(Duration::from_secs(seconds / 10));
+    }
+    tab.close();
+}
+
+fn resident_kb(process: u32) -> u64 {
+    let status = fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+    line.map_or(0, |line| {
+        let number = line.split_whitespace().next().unwrap();
+        number.parse().unwrap()
+    })
+}
+
+/// A process and all that it started.
+fn descendants(process: u32) -> impl Iterator<Item = u32> {
+    let children = fs::read_dir(format!("/proc/{process}/task"))
+        .into_iter()
+        .flatten()
+        .filter_map(|task| fs::read_to_string(task.ok()?.path().join("children")).ok())
+        .flat_map(|ids| {
+            ids.split_whitespace()
+                .map(|id| id.parse().unwrap())
+                .collect::<Vec<u32>>()
+        });
+    let below: Vec<u32> = children
+        .flat_map(|child| descendants(child).collect::<Vec<u32>>())
+        .collect();
+    std::iter::once(process).chain(below)
 }

@@ -18,7 +18,7 @@ use tokio_tungstenite::{WebSocketStream, client_async};
 
 /// The server.
 pub struct View {
-    _process: Process,
+    pub process: Process,
     /// `127.0.0.1:PORT`
     pub host: String,
 }
@@ -46,10 +46,7 @@ impl View {
             .strip_prefix("http://")
             .and_then(|line| line.strip_suffix("/\n"));
         let host = host.unwrap_or_else(|| panic!("{line:?}")).to_owned();
-        Self {
-            _process: process,
-            host,
-        }
+        Self { process, host }
     }
 
     /// What it answers to these bytes, whole.
