@@ -27,8 +27,8 @@ const LISTEN: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 9178
 /// Options of `sweepd view`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
-The page shows the points, the range image, the labels and the segments, plays and pauses a capture,
-and tries other options of the segmentation. It is a consumer of its own: the daemon serves no page,
+The page shows the points, the range image, the labels and the segments, plays and pauses a capture, \
+and tries other options of the segmentation. It is a consumer of its own: the daemon serves no page, \
 and nothing that a browser does can slow a sensor.
 
 Examples:
