@@ -1,5 +1,5 @@
 //! Real captures of a VLP-32C and of a VLS-128, against counts, sums and points that were worked
-//! out by hand and by a decoder of other code (shared/docs/models.md, section 7).
+//! out by hand and by a decoder of other code.
 
 use crate::common;
 use crate::common::raw;

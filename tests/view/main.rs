@@ -1,6 +1,7 @@
 //! `sweepd view` as a page in a browser meets it, over shipped captures, simulations, and sensors that
 //! the tests publish.
 
+#[cfg(feature = "slow-tests")]
 mod browser;
 mod captures;
 mod hostile;

@@ -18,6 +18,7 @@ use tokio_tungstenite::{WebSocketStream, client_async};
 
 /// The server.
 pub struct View {
+    #[cfg_attr(not(feature = "slow-tests"), allow(dead_code))]
     pub process: Process,
     /// `127.0.0.1:PORT`
     pub host: String,
