@@ -1,8 +1,9 @@
 //! The daemon at work, over loopback: latency by stage, load, and what it costs.
 //!
 //! ```text
-//! cargo bench --bench live                       all of it, about seven minutes
+//! cargo bench --bench live                       all of it, about ten minutes
 //! cargo bench --bench live -- latency hdl64e     what has these words in its name
+//! cargo bench --bench live -- objects            how late objects are, and what they cost
 //! ```
 //!
 //! Each runs `sweepd run` and `sweepd watch` in processes of their own. The packets are simulated
@@ -45,7 +46,30 @@ fn main() {
         ("latency hdl64e", Model::Hdl64eS2, ReturnMode::Strongest),
     ] {
         if is_wanted(name) {
-            latency(name, Stream::new(model, mode, 1200.0));
+            latency(name, &Stream::new(model, mode, 1200.0), &[]);
+        }
+    }
+    for (name, model) in [
+        ("latency of objects vlp16", Model::Vlp16),
+        ("latency of objects hdl64e", Model::Hdl64eS2),
+    ] {
+        if is_wanted(name) {
+            let stream = Stream::new(model, ReturnMode::Strongest, 600.0);
+            latency(name, &stream, &["--objects"]);
+        }
+    }
+    for (name, model) in [
+        ("cost of objects vlp16", Model::Vlp16),
+        ("cost of objects hdl64e", Model::Hdl64eS2),
+    ] {
+        if is_wanted(name) {
+            let stream = Stream::new(model, ReturnMode::Strongest, 600.0);
+            let without = load(name, &stream, 1.0, 20, false);
+            let with = load(name, &stream, 1.0, 20, true);
+            println!(
+                "  with a consumer of objects the daemon takes {:.2} times as much",
+                with / without
+            );
         }
     }
     for (name, source) in [
@@ -67,7 +91,7 @@ fn main() {
         if is_wanted(name) {
             match source.stream() {
                 Some(stream) => {
-                    let share = load(name, &stream, 1.0, 20);
+                    let share = load(name, &stream, 1.0, 20, false);
                     least(&stream, 10, share);
                 }
                 None => println!("\n== {name}: that capture is not at hand (see CONTRIBUTING.md)"),
@@ -81,6 +105,7 @@ fn main() {
             &Stream::new(Model::Hdl64eS3, ReturnMode::Dual, 600.0),
             4.0,
             60,
+            false,
         );
     }
 }
@@ -356,8 +381,13 @@ impl Drop for Daemon {
     }
 }
 
-fn latency(name: &str, stream: Stream) {
-    println!("\n== {name}: {} at 20 Hz, {SWEEPS} sweeps", stream.model);
+/// What `watch --latency` shows, with these options more.
+fn latency(name: &str, stream: &Stream, options: &[&str]) {
+    let rate_hz = stream.cdeg / 36_000.0 / (f64::from(stream.us) * 1e-6);
+    println!(
+        "\n== {name}: {} at {rate_hz:.0} Hz, {SWEEPS} sweeps",
+        stream.model
+    );
     let daemon = Daemon::start(stream.model);
     let root = daemon.folder.join("iox2");
     let mut watch = Command::new(env!("CARGO_BIN_EXE_sweepd"))
@@ -372,6 +402,7 @@ fn latency(name: &str, stream: Stream) {
             "--root",
         ])
         .arg(root)
+        .args(options)
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();
@@ -381,13 +412,15 @@ fn latency(name: &str, stream: Stream) {
     println!(
         "{}",
         text.find("\ndecode:")
+            .or_else(|| text.find("\nshare:"))
             .map_or(&text[..], |at| &text[at..])
             .trim_end()
     );
 }
 
-/// Sends at a multiple of real time; what the daemon took, percent of a core.
-fn load(name: &str, stream: &Stream, pace: f64, seconds: u64) -> f64 {
+/// Sends at a multiple of real time, to a consumer of sweeps and, if it is so, one of objects; what
+/// the daemon took, percent of a core.
+fn load(name: &str, stream: &Stream, pace: f64, seconds: u64, listens: bool) -> f64 {
     let rate = 1e9 / stream.period_ns as f64 * pace;
     let returns = if stream.mode == ReturnMode::Dual {
         "two returns"
@@ -400,6 +433,16 @@ fn load(name: &str, stream: &Stream, pace: f64, seconds: u64) -> f64 {
     );
     let daemon = Daemon::start(stream.model);
     let mut client = Client::within(&daemon.domain(), "bench").unwrap();
+    let mut objects = client.objects().unwrap();
+    let listener = listens.then(|| {
+        thread::spawn(move || {
+            let mut messages = 0;
+            while objects.next(Duration::from_secs(5)).unwrap().is_some() {
+                messages += 1;
+            }
+            messages
+        })
+    });
     let consumer = thread::spawn(move || {
         let (mut sweeps, mut lost, mut dropped) = (0_u64, 0_u64, 0_u64);
         while let Some(sweep) = client.next(Duration::from_secs(5)).unwrap() {
@@ -430,6 +473,9 @@ fn load(name: &str, stream: &Stream, pace: f64, seconds: u64) -> f64 {
         println!("  {line}");
     }
     let (sweeps, lost, dropped) = consumer.join().unwrap();
+    if let Some(listener) = listener {
+        println!("  {} messages with objects", listener.join().unwrap());
+    }
     println!(
         "  {sent} packets sent; {sweeps} sweeps received, {lost} packets lost, {dropped} dropped"
     );

@@ -1,11 +1,11 @@
-// Prints a line for each sweep of a sensor that sweepd publishes on this host: crates/sweepd-client/examples/consumer.rs in C++14, on iceoryx2's C++
-// binding, version 0.10, which is built from its sources (https://github.com/eclipse-iceoryx/iceoryx2, iceoryx2-cxx).
-// CMakeLists.txt beside this file builds it:
+// Prints a line for each sweep of a sensor that sweepd publishes on this host, or with `--objects` for each object while the
+// head turns: crates/sweepd-client/examples/consumer.rs in C++14, on iceoryx2's C++ binding, version 0.10, which is built from its
+// sources (https://github.com/eclipse-iceoryx/iceoryx2, iceoryx2-cxx). CMakeLists.txt beside this file builds it:
 //
 //     cmake -S examples -B build && cmake --build build && build/consumer roof
 //
 // Where the binding's headers are not found, or with -DSWEEPD_WITHOUT_ICEORYX2, this compiles to a program that checks a sweep in
-// a file (`consumer FILE`): what it does with a sweep is in the first half.
+// a file, or objects (`consumer [--objects] FILE`): what it does with a sweep is in the first half.
 
 #if defined(__has_include)
 #if !__has_include("iox2/iceoryx2.hpp") && !defined(SWEEPD_WITHOUT_ICEORYX2)
@@ -36,16 +36,16 @@
 
 namespace {
 
-// ---- A sweep ----
+// ---- A sweep, and objects ----
 
 const char* explain(sweepd_status status) {
     switch (status) {
     case SWEEPD_OK:
-        return "a sweep";
+        return "nothing is wrong";
     case SWEEPD_TOO_SHORT_OR_UNALIGNED:
-        return "too few bytes for a sweep, or not aligned";
+        return "too few bytes, or not aligned";
     case SWEEPD_OTHER_VERSION:
-        return "no sweep of the layout version that this program reads";
+        return "nothing of the layout version that this program reads";
     case SWEEPD_INCONSISTENT:
         break;
     }
@@ -81,6 +81,43 @@ void print(const std::string& name, const sweepd_sweep& sweep) {
     }
     std::printf("\n");
     std::fflush(stdout);
+}
+
+/// A line for each object.
+void print(const std::string& name, const sweepd_objects& told) {
+    for (uint32_t at = 0; at < told.objects_len; ++at) {
+        const sweepd_object& object = told.objects[at];
+        const bool is_part = object.why == SWEEPD_WHY_WIDE;
+        const double newest_ns = static_cast<double>(told.header.time_ns) + static_cast<double>(object.last_ns);
+        const double age_ms = (static_cast<double>(now_ns()) - newest_ns) * 1e-6;
+        std::printf("%s %" PRIu64 ": %s %" PRIu32 ", %.1f ms, %" PRIu32 " points, nearest %.2f m\n", name.c_str(),
+                    told.header.sequence, is_part ? "part" : "object", object.ordinal, age_ms, object.segment.points,
+                    static_cast<double>(object.segment.nearest_m));
+    }
+    std::fflush(stdout);
+}
+
+/// What the bytes are, or why not.
+sweepd_status print(const std::string& name, const void* bytes, size_t len, bool is_objects) {
+    sweepd_status status = SWEEPD_OK;
+    if (is_objects) {
+        sweepd_objects told;
+        status = sweepd_objects_open(bytes, len, &told);
+        if (status == SWEEPD_OK) print(name, told);
+    } else {
+        sweepd_sweep sweep;
+        status = sweepd_open(bytes, len, &sweep);
+        if (status == SWEEPD_OK) print(name, sweep);
+    }
+    return status;
+}
+
+/// Takes an option from the arguments; says whether it was there.
+bool take_option(int& argc, char**& argv, const char* option) {
+    if (argc < 2 || std::string(argv[1]) != option) return false;
+    --argc;
+    ++argv;
+    return true;
 }
 
 // ---- Where daemon and consumers find each other ----
@@ -189,18 +226,14 @@ int main(int argc, char** argv) {
             return 1;
         }
     }
+    const bool is_objects = take_option(argc, argv, "--objects");
     const std::string bytes = content(argc == 2 ? argv[1] : default_root());
     // As aligned as in shared memory.
     void* aligned = nullptr;
     if (posix_memalign(&aligned, SWEEPD_ALIGN, bytes.size() + 1) != 0) return 1;
     std::copy(bytes.begin(), bytes.end(), static_cast<char*>(aligned));
-    sweepd_sweep sweep;
-    const sweepd_status status = sweepd_open(aligned, bytes.size(), &sweep);
-    if (status == SWEEPD_OK) {
-        print("file", sweep);
-    } else {
-        std::fprintf(stderr, "consumer: %s\n", explain(status));
-    }
+    const sweepd_status status = print("file", aligned, bytes.size(), is_objects);
+    if (status != SWEEPD_OK) std::fprintf(stderr, "consumer: %s\n", explain(status));
     std::free(aligned);
     return status == SWEEPD_OK ? 0 : 1;
 }
@@ -260,29 +293,23 @@ Config config_of(const std::string& root) {
 }
 
 auto open_samples(const Node<ServiceType::Ipc>& node, const ServiceName& name) {
-    auto schema = AttributeVerifier();
-    const std::string version = std::to_string(SWEEPD_LAYOUT_VERSION);
-    schema
-        .require(*Attribute::Key::from_utf8("schema"),
-                 *Attribute::Value::from_utf8_null_terminated_unchecked(version.c_str()))
-        .value();
-    return node.service_builder(name).publish_subscribe<Bytes>().user_header<Preamble>().open_with_attributes(schema);
+    // Not by its attribute `schema`: what a tunnel mirrors from another host has none. Each sweep says its version.
+    return node.service_builder(name).publish_subscribe<Bytes>().user_header<Preamble>().open();
 }
 
 /// The service, or nothing while it is not there. Throws for what waiting does not mend.
-std::unique_ptr<Open> find(const std::string& root, const std::string& sensor) {
+std::unique_ptr<Open> find(const std::string& root, const std::string& sensor, bool is_objects) {
     if (!check_owner(root) || !is_shared_memory_ready(root)) return nullptr;
     auto node = NodeBuilder()
                     .config(config_of(root))
                     .signal_handling_mode(SignalHandlingMode::Disabled)
                     .create<ServiceType::Ipc>();
-    const auto name = ServiceName::create(("sweepd/" + sensor + "/sweep").c_str());
+    const auto name = ServiceName::create(("sweepd/" + sensor + (is_objects ? "/objects" : "/sweep")).c_str());
     if (!node.has_value() || !name.has_value()) throw std::runtime_error("cannot make a node in " + root);
     // Opened twice: only then it is sure that what is read of its file is not newer than what is opened.
     const auto first = open_samples(node.value(), name.value());
     if (!first.has_value()) {
         switch (first.error()) {
-        case PublishSubscribeOpenError::IncompatibleAttributes:
         case PublishSubscribeOpenError::IncompatibleTypes:
         case PublishSubscribeOpenError::VersionMismatch:
             throw std::runtime_error("the sweeps of `" + sensor + "` have another layout than version " +
@@ -308,32 +335,30 @@ std::unique_ptr<Open> find(const std::string& root, const std::string& sensor) {
                                           std::move(subscriber.value()), file, std::move(before)});
 }
 
-/// Takes what is there; each sweep is given back before the next is taken.
-void receive_all(Open& open, const std::string& sensor) {
+/// Takes all that waits; each sweep or message is given back before the next is taken.
+void receive_all(Open& open, const std::string& sensor, bool is_objects) {
     for (;;) {
         auto sample = open.subscriber.receive();
         // An error: the memory of a daemon that is going away. Looking after the service finds the next one.
         if (!sample.has_value() || !sample.value().has_value()) return;
         const auto bytes = sample.value()->payload();
-        const uint64_t of_sweep = sample.value()->user_header().bytes.sweep_bytes;
-        sweepd_sweep sweep;
-        const sweepd_status status =
-            sweepd_open(bytes.data(), static_cast<size_t>(std::min(of_sweep, bytes.number_of_elements())), &sweep);
+        const uint64_t named = sample.value()->user_header().bytes.sweep_bytes;
+        const size_t len = static_cast<size_t>(std::min(named, bytes.number_of_elements()));
+        const sweepd_status status = print(sensor, bytes.data(), len, is_objects);
         if (status != SWEEPD_OK) throw std::runtime_error("`" + sensor + "`: " + explain(status));
-        print(sensor, sweep);
     }
 }
 
-void follow(const std::string& root, const std::string& sensor) {
+void follow(const std::string& root, const std::string& sensor, bool is_objects) {
     const auto look_every = bb::Duration::from_millis(200);
     for (;;) {
-        const auto found = find(root, sensor);
+        const auto found = find(root, sensor, is_objects);
         if (found == nullptr) {
             usleep(100000);
             continue;
         }
         while (found->is_current()) {
-            receive_all(*found, sensor);
+            receive_all(*found, sensor, is_objects);
             (void)found->listener.timed_wait([](auto) -> void {}, look_every);
         }
     }
@@ -342,13 +367,14 @@ void follow(const std::string& root, const std::string& sensor) {
 } // namespace
 
 int main(int argc, char** argv) {
+    const bool is_objects = take_option(argc, argv, "--objects");
     if (argc < 2 || argc > 3) {
-        std::fprintf(stderr, "usage: consumer NAME [ROOT]   (the root as an absolute path)\n");
+        std::fprintf(stderr, "usage: consumer [--objects] NAME [ROOT]   (the root as an absolute path)\n");
         return 2;
     }
     set_log_level(LogLevel::Fatal);
     try {
-        follow(argc == 3 ? argv[2] : default_root(), argv[1]);
+        follow(argc == 3 ? argv[2] : default_root(), argv[1], is_objects);
     } catch (const std::runtime_error& error) {
         std::fprintf(stderr, "consumer: %s\n", error.what());
         return 1;

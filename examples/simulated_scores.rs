@@ -8,6 +8,9 @@
 //! Four kinds of scenes, five seeds each, three whole sweeps of each; by the default method and by
 //! the paper's.
 
+#[path = "../tests/common/objects.rs"]
+#[allow(dead_code)]
+mod objects;
 #[path = "../tests/common/run.rs"]
 #[allow(dead_code)]
 mod run;

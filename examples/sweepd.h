@@ -1,4 +1,5 @@
-/* The bytes of a sweep, for C99 and C++: layout version 3. Needs nothing but this file and -lm.
+/* The bytes of a sweep, and of objects while the head turns, for C99 and C++: layout version 3. Needs nothing but this file
+ * and -lm.
  *
  *     sweepd_sweep sweep;
  *     if (sweepd_open(bytes, len, &sweep) == SWEEPD_OK) {
@@ -83,6 +84,21 @@ extern "C" {
 #define SWEEPD_KIND_STRONGEST 1u
 #define SWEEPD_KIND_LAST 2u
 #define SWEEPD_KIND_SECOND_BLOCKS 4u
+
+/* First bytes of a message of objects. */
+#define SWEEPD_OBJECTS_MAGIC "objects\n"
+#define SWEEPD_OBJECTS_VERSION 1u
+
+/* Bits of sweepd_objects_header.flags. */
+#define SWEEPD_OBJECTS_LAST (1u << 0)      /* the last message of its sweep */
+#define SWEEPD_OBJECTS_NO_HEIGHT (1u << 1) /* the height of the sensor is not known yet: this sweep has no objects */
+#define SWEEPD_OBJECTS_PARTIAL (1u << 2)   /* the sweep does not go from cut to cut */
+
+/* sweepd_object.why: the first two are segments of the sweep's table */
+#define SWEEPD_WHY_COMPLETE 1u /* nothing that still comes this turn can join it */
+#define SWEEPD_WHY_SWEEP 2u    /* its sweep is complete */
+#define SWEEPD_WHY_WIDE 3u     /* a part of a wide object, while it grows */
+#define SWEEPD_WHY_SEAM 4u     /* what lies across the cut, with its returns of the turn before */
 
 /* Indices of sweepd_header.offsets. */
 enum sweepd_part {
@@ -194,6 +210,41 @@ typedef struct sweepd_segment {
     uint32_t reserved_60;
 } sweepd_segment;
 
+typedef struct sweepd_objects_header {
+    uint8_t magic[8];
+    uint32_t version;
+    uint32_t header_bytes;
+    uint64_t sequence;
+    int64_t run_ns;
+    int64_t time_ns;
+    int64_t sent_ns;
+    int64_t sent_monotonic_ns;
+    uint32_t time_source;
+    uint32_t flags;
+    uint32_t objects;
+    uint32_t first_ordinal;
+    uint32_t labels;
+    uint32_t first_label;
+    float position_m[3];
+    float yaw_rad;
+    float pitch_rad;
+    float roll_rad;
+    uint8_t reserved_104[24];
+    char name[64];
+} sweepd_objects_header;
+
+typedef struct sweepd_object {
+    sweepd_segment segment;
+    uint32_t first_pixel;
+    uint32_t ordinal;
+    uint32_t why;
+    float azimuth_first_rad;
+    float azimuth_last_rad;
+    int32_t first_ns;
+    int32_t last_ns;
+    uint32_t reserved_92;
+} sweepd_object;
+
 #define SWEEPD_ASSERT(what, name) typedef char sweepd_assert_##name[(what) ? 1 : -1]
 SWEEPD_ASSERT(sizeof(float) == 4 && sizeof(double) == 8, floats);
 SWEEPD_ASSERT(sizeof(sweepd_preamble) == 64, preamble);
@@ -203,13 +254,17 @@ SWEEPD_ASSERT(offsetof(sweepd_header, completed_ns) == 272, header_measures);
 SWEEPD_ASSERT(sizeof(sweepd_column) == 24, column);
 SWEEPD_ASSERT(sizeof(sweepd_beam) == 48, beam);
 SWEEPD_ASSERT(sizeof(sweepd_segment) == 64, segment);
+SWEEPD_ASSERT(sizeof(sweepd_objects_header) == 192, objects_header);
+SWEEPD_ASSERT(offsetof(sweepd_objects_header, position_m) == 80, objects_mount);
+SWEEPD_ASSERT(sizeof(sweepd_object) == 96, object);
+SWEEPD_ASSERT(offsetof(sweepd_object, last_ns) == 88, object_times);
 #undef SWEEPD_ASSERT
 
-/* What sweepd_check finds. */
+/* What is found of bytes. */
 typedef enum sweepd_status {
     SWEEPD_OK = 0,
     SWEEPD_TOO_SHORT_OR_UNALIGNED = 1, /* too few bytes, or they do not begin at a multiple of 8 */
-    SWEEPD_OTHER_VERSION = 2,          /* no sweep, or one of another layout */
+    SWEEPD_OTHER_VERSION = 2,          /* no sweep or no objects, or those of another version */
     SWEEPD_INCONSISTENT = 3            /* counts and offsets contradict each other */
 } sweepd_status;
 
@@ -232,6 +287,16 @@ typedef struct sweepd_sweep {
     uint32_t columns_len;
     uint32_t segments_len;
 } sweepd_sweep;
+
+/* Objects that became known together: where they and their labels are. As a sweep is, it is valid while the bytes are held,
+ * and its header is the copy that was checked. The labels are those of the sweep's objects from header.first_label on. */
+typedef struct sweepd_objects {
+    sweepd_objects_header header;
+    const sweepd_object *objects;
+    const uint32_t *labels;
+    uint32_t objects_len;
+    uint32_t labels_len;
+} sweepd_objects;
 
 /* Where each part of a header's shape begins (0 = absent); gives the bytes of the whole. */
 static inline uint64_t sweepd_offsets(const sweepd_header *header, uint64_t offsets[SWEEPD_PARTS]) {
@@ -257,14 +322,19 @@ static inline uint64_t sweepd_offsets(const sweepd_header *header, uint64_t offs
     return end;
 }
 
-/* Copies the header of some bytes, each word read once, and says whether they are a sweep of this layout, so that nothing
- * that the copy tells lies outside of them. */
-static inline sweepd_status sweepd_take_header(const void *bytes, size_t len, sweepd_header *header) {
-    uint64_t offsets[SWEEPD_PARTS], total, words[sizeof(sweepd_header) / 8];
+/* Copies bytes that a publisher may be writing, each word read once. */
+static inline void sweepd_copy(const void *bytes, uint64_t *words, size_t len) {
     const volatile uint64_t *from = (const volatile uint64_t *)bytes;
     size_t word;
+    for (word = 0; word < len / 8; word++) words[word] = from[word];
+}
+
+/* Copies the header of some bytes and says whether they are a sweep of this layout, so that nothing that the copy tells lies
+ * outside of them. */
+static inline sweepd_status sweepd_take_header(const void *bytes, size_t len, sweepd_header *header) {
+    uint64_t offsets[SWEEPD_PARTS], total, words[sizeof(sweepd_header) / 8];
     if (len < sizeof(sweepd_header) || (uintptr_t)bytes % 8 != 0) return SWEEPD_TOO_SHORT_OR_UNALIGNED;
-    for (word = 0; word < sizeof words / 8; word++) words[word] = from[word];
+    sweepd_copy(bytes, words, sizeof words);
     memcpy(header, words, sizeof words);
     if (memcmp(header->magic, SWEEPD_MAGIC, sizeof header->magic) != 0) return SWEEPD_OTHER_VERSION;
     if (header->version != SWEEPD_LAYOUT_VERSION) return SWEEPD_OTHER_VERSION;
@@ -310,6 +380,27 @@ static inline sweepd_status sweepd_open(const void *bytes, size_t len, sweepd_sw
     sweep->columns = (const sweepd_column *)(const void *)(base + at[SWEEPD_PART_COLUMNS]) + header->margin_columns;
     sweep->beams = (const sweepd_beam *)(const void *)(base + at[SWEEPD_PART_BEAMS]);
     sweep->segments = (const sweepd_segment *)(const void *)(base + at[SWEEPD_PART_SEGMENTS]);
+    return SWEEPD_OK;
+}
+
+/* Checks the bytes of a message of objects and tells where everything is. */
+static inline sweepd_status sweepd_objects_open(const void *bytes, size_t len, sweepd_objects *objects) {
+    const uint8_t *base = (const uint8_t *)bytes;
+    sweepd_objects_header *header = &objects->header;
+    uint64_t words[sizeof(sweepd_objects_header) / 8], of_objects, total;
+    memset(objects, 0, sizeof *objects);
+    if (len < sizeof words || (uintptr_t)bytes % 8 != 0) return SWEEPD_TOO_SHORT_OR_UNALIGNED;
+    sweepd_copy(bytes, words, sizeof words);
+    memcpy(header, words, sizeof words);
+    if (memcmp(header->magic, SWEEPD_OBJECTS_MAGIC, sizeof header->magic) != 0) return SWEEPD_OTHER_VERSION;
+    if (header->version != SWEEPD_OBJECTS_VERSION) return SWEEPD_OTHER_VERSION;
+    of_objects = header->objects * (uint64_t)sizeof(sweepd_object);
+    total = sizeof words + of_objects + header->labels * (uint64_t)sizeof(uint32_t);
+    if (total > len) return SWEEPD_TOO_SHORT_OR_UNALIGNED;
+    objects->objects = (const sweepd_object *)(const void *)(base + sizeof words);
+    objects->labels = (const uint32_t *)(const void *)(base + sizeof words + of_objects);
+    objects->objects_len = header->objects;
+    objects->labels_len = header->labels;
     return SWEEPD_OK;
 }
 
@@ -402,6 +493,108 @@ static inline void sweepd_point_m(const sweepd_sweep *sweep, uint32_t row, uint3
     xyz[0] -= (double)beam->horizontal_offset_m * cos_azimuth;
     xyz[1] += (double)beam->horizontal_offset_m * sin_azimuth;
     xyz[2] += (double)beam->vertical_offset_m;
+}
+
+/* The pose of a frame in another: it brings the points of the first into the second. */
+typedef struct sweepd_pose {
+    double rotation[3][3]; /* row by row */
+    double position_m[3];
+} sweepd_pose;
+
+/* A position, metres, and a rotation as odometry has it: x, y, z, w of a quaternion of any length but 0. */
+static inline sweepd_pose sweepd_pose_of(const double position_m[3], const double quaternion[4]) {
+    const double x = quaternion[0], y = quaternion[1], z = quaternion[2], w = quaternion[3];
+    const double s = 2.0 / (x * x + y * y + z * z + w * w);
+    const sweepd_pose pose = {{{1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)},
+                               {s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w)},
+                               {s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y)}},
+                              {position_m[0], position_m[1], position_m[2]}};
+    return pose;
+}
+
+/* A sensor in the frame of the robot: x right, y forward, z up. It is rolled about its own y axis, pitched about x, turned
+ * about z, then moved. */
+static inline sweepd_pose sweepd_mounted(const float at[3], float yaw_rad, float pitch_rad, float roll_rad) {
+    const double sr = sin((double)roll_rad), cr = cos((double)roll_rad);
+    const double sp = sin((double)pitch_rad), cp = cos((double)pitch_rad);
+    const double sy = sin((double)yaw_rad), cy = cos((double)yaw_rad);
+    const sweepd_pose pose = {{{cy * cr - sy * sp * sr, -sy * cp, cy * sr + sy * sp * cr},
+                               {sy * cr + cy * sp * sr, cy * cp, sy * sr - cy * sp * cr},
+                               {-cp * sr, sp, cp * cr}},
+                              {(double)at[0], (double)at[1], (double)at[2]}};
+    return pose;
+}
+
+/* The sensor in the frame of the robot, as configured. */
+static inline sweepd_pose sweepd_mount(const sweepd_header *header) {
+    return sweepd_mounted(header->position_m, header->yaw_rad, header->pitch_rad, header->roll_rad);
+}
+
+/* The same from the header of objects. */
+static inline sweepd_pose sweepd_objects_mount(const sweepd_objects_header *header) {
+    return sweepd_mounted(header->position_m, header->yaw_rad, header->pitch_rad, header->roll_rad);
+}
+
+/* From x right, y forward, z up to the axes of ROS: x forward, y left, z up. */
+static inline sweepd_pose sweepd_ros(void) {
+    const sweepd_pose pose = {{{0.0, 1.0, 0.0}, {-1.0, 0.0, 0.0}, {0.0, 0.0, 1.0}}, {0.0, 0.0, 0.0}};
+    return pose;
+}
+
+/* A point of the frame, metres, in the other; both may be the same memory. */
+static inline void sweepd_apply(const sweepd_pose *pose, const double point[3], double xyz[3]) {
+    const double x = point[0], y = point[1], z = point[2];
+    int axis;
+    for (axis = 0; axis < 3; axis++) {
+        const double *row = pose->rotation[axis];
+        xyz[axis] = row[0] * x + row[1] * y + row[2] * z + pose->position_m[axis];
+    }
+}
+
+/* The box around a segment's box in the other frame: least and greatest x, y and z, metres. */
+static inline void sweepd_bounds(const sweepd_pose *pose, const sweepd_segment *segment, double bounds_m[2][3]) {
+    int axis, of;
+    for (axis = 0; axis < 3; axis++) {
+        bounds_m[0][axis] = bounds_m[1][axis] = pose->position_m[axis];
+        for (of = 0; of < 3; of++) {
+            const double one = pose->rotation[axis][of] * (double)segment->min_m[of];
+            const double other = pose->rotation[axis][of] * (double)segment->max_m[of];
+            bounds_m[0][axis] += fmin(one, other);
+            bounds_m[1][axis] += fmax(one, other);
+        }
+    }
+}
+
+/* One pose after another: world from robot, robot from sensor gives world from sensor. */
+static inline sweepd_pose sweepd_chain(const sweepd_pose *outer, const sweepd_pose *inner) {
+    sweepd_pose pose;
+    int row, axis;
+    for (row = 0; row < 3; row++)
+        for (axis = 0; axis < 3; axis++)
+            pose.rotation[row][axis] = outer->rotation[row][0] * inner->rotation[0][axis] +
+                                       outer->rotation[row][1] * inner->rotation[1][axis] +
+                                       outer->rotation[row][2] * inner->rotation[2][axis];
+    sweepd_apply(outer, inner->position_m, pose.position_m);
+    return pose;
+}
+
+/* The points of a plane, `range` or `range2`, in another frame: `pose_at` gives the pose of the sensor in it at the time of
+ * the pixel's own shot. `xyz` has room for columns_len * rows points, metres, in the order of the plane; NaN where there is
+ * no return. With the poses of a moving sensor, this deskews the sweep. */
+static inline void sweepd_points_in(const sweepd_sweep *sweep, const float *plane,
+                                    sweepd_pose (*pose_at)(int64_t time_ns, void *context), void *context,
+                                    double (*xyz)[3]) {
+    uint32_t row, column;
+    for (column = 0; column < sweep->columns_len; column++)
+        for (row = 0; row < sweep->rows; row++) {
+            const size_t pixel = sweepd_pixel(sweep, row, column);
+            xyz[pixel][0] = xyz[pixel][1] = xyz[pixel][2] = (double)NAN;
+            if (sweepd_is_return(plane[pixel])) {
+                const sweepd_pose pose = pose_at(sweepd_time_ns(sweep, row, column), context);
+                sweepd_point_m(sweep, row, column, plane[pixel], xyz[pixel]);
+                sweepd_apply(&pose, xyz[pixel], xyz[pixel]);
+            }
+        }
 }
 
 #ifdef __cplusplus

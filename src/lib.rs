@@ -56,10 +56,10 @@
 //! | run | neighbouring pixels of a row, each joined to the next |
 //! | piece, component | runs joined as they were taken; pieces that belong together |
 //! | scan, truth | a cloud that people labelled, and the labels they gave |
-//! | object | points with one label of the truth: segments are scored against objects |
+//! | object | a segment, or a part of one, that is published while the head turns; in scores, points with one label of the truth |
 //! | drop | a datagram discarded by the kernel or by us |
 //! | loss | a packet missing by the sensor's clock |
-//! | gap | columns missing in a sweep |
+//! | gap | columns missing in a sweep; `gap_m` is the distance up to which returns are joined |
 //! | consumer | a program that reads sweeps from shared memory |
 //! | domain | the folder by which a daemon and its consumers find each other |
 //! | loan | shared memory for one sweep, filled before a consumer sees it |
@@ -79,9 +79,12 @@ pub mod daemon;
 pub mod doctor;
 pub mod export;
 pub mod files;
+mod http;
+pub mod sensor_settings;
 mod suggest;
 mod text;
 mod view;
+pub mod web_interface;
 
 /// Version of this build, with the commit in a release build of a repository: `0.1.0 (6707b6746
 /// 2026-11-24)`.

@@ -14,9 +14,11 @@ fn main() -> ExitCode {
         Command::Watch(args) => sweepd::cli::watch::run(&args),
         Command::View(args) => sweepd::cli::view::run(&args),
         Command::Doctor(args) => sweepd::cli::doctor::run(&args),
+        Command::Sensor(args) => sweepd::cli::sensor::run(&args),
         Command::Inspect(args) => sweepd::cli::inspect::run(&args),
         Command::Calib(args) => sweepd::cli::calib::run(&args),
         Command::Config(args) => sweepd::cli::config::run(&args),
+        Command::Completions(args) => sweepd::cli::completions::run(&args),
         #[cfg(feature = "lab")]
         Command::Lab(command) => sweepd::cli::lab::run(&command),
     };

@@ -1,6 +1,6 @@
 //! What other languages make of a sweep: `docs/layout.md`, `examples/sweepd.h`,
-//! `examples/consumer.py` and the page's `sweep.js` against the Rust types, and the example
-//! consumers against a publisher.
+//! the Python package and the page's `sweep.js` against the Rust types, and the example consumers
+//! against a publisher.
 //!
 //! A C and a C++ compiler are wanted, and a Python (`SWEEPD_PYTHON`) with the
 //! packages `iceoryx2` 0.10.0 and `numpy`. Where they are missing the tests are ignored;
@@ -13,6 +13,8 @@ mod fields;
 mod hostile;
 #[path = "consumers/native.rs"]
 mod native;
+#[path = "consumers/objects.rs"]
+mod objects;
 #[path = "consumers/page.rs"]
 mod page;
 #[path = "consumers/programs.rs"]
@@ -25,6 +27,8 @@ mod refusals;
 mod script;
 #[path = "consumers/sweeps.rs"]
 mod sweeps;
+#[path = "consumers/wall.rs"]
+mod wall;
 
 use sweepd_lab::testkit::stream;
 

@@ -125,7 +125,7 @@ fn the_unit_leaves_shared_memory_alone() {
         "PrivateTmp=no",
         "RuntimeDirectory=sweepd",
         "RuntimeDirectoryPreserve=yes",
-        "ExecReload=kill -HUP $MAINPID",
+        "ExecReload=sh -c 'kill -HUP $MAINPID'",
         "RestartPreventExitStatus=78",
     ] {
         assert!(daemon.lines().any(|own| own == line), "{line}");

@@ -22,7 +22,7 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Command {
-    /// Say what a configuration comes to, and every line that is wrong
+    /// Print what a configuration means, and every line that is wrong
     #[command(after_help = "\
 Example:
   sweepd config check /etc/sweepd/sweepd.toml")]
@@ -31,7 +31,7 @@ Example:
         #[arg(value_name = "FILE")]
         file: PathBuf,
     },
-    /// Print a configuration to begin with: every key, explained
+    /// Print an example configuration with every key explained
     #[command(after_help = "\
 Example:
   sweepd config example > sweepd.toml")]
@@ -65,10 +65,12 @@ fn check(file: &Path) -> Result<(), CliError> {
     for sensor in &config.sensors {
         describe_sensor(&mut text, sensor);
     }
-    let pools = config.sensors.iter().map(memory::pool_bytes);
-    let (least, most) = pools.fold((0, 0), |(least, most), pool| {
-        (least + pool.start(), most + pool.end())
-    });
+    let (mut least, mut most) = (0, 0);
+    for sensor in &config.sensors {
+        let pool = memory::pool_bytes(sensor);
+        least += pool.start();
+        most += pool.end() + memory::objects_bytes(sensor);
+    }
     let free = free_bytes();
     describe_daemon(&mut text, &config, &mib(least, most), &free);
     print(&text)?;
@@ -110,10 +112,7 @@ fn describe_sensor(text: &mut String, sensor: &SensorConfig) {
     row(text, "listens", listening(sensor));
     row(text, "thread", thread(sensor));
     row(text, "model", model(sensor));
-    match sensor.rpm {
-        Some(rpm) => row(text, "speed", format_args!("{rpm} rpm")),
-        None => row(text, "speed", "any"),
-    }
+    row(text, "wanted", &sensor.want);
     let cut = rounded(sensor.pipeline.cut_azimuth_rad.to_degrees());
     row(text, "cut", format_args!("at {cut} degrees"));
     row(text, "mount", mount(sensor));
@@ -128,6 +127,12 @@ fn describe_sensor(text: &mut String, sensor: &SensorConfig) {
     let sweeps = pool_sweeps(sensor.max_consumers);
     let memory = format_args!("{pool}: {sweeps} sweeps of {sweep}");
     row(text, "shared memory", memory);
+    let objects = memory::objects_bytes(sensor);
+    let objects = format_args!(
+        "sweepd/{name}/objects, {} more with the first consumer",
+        mib(objects, objects)
+    );
+    row(text, "objects", objects);
 }
 
 fn listening(sensor: &SensorConfig) -> String {

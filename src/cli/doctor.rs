@@ -28,7 +28,7 @@ Examples:
   sweepd doctor --sensor 192.168.1.201 --seconds 10
   sweepd doctor --port 2369 --port 8309 --no-web --json")]
 pub struct Args {
-    /// Hold what comes against the daemon's configuration: its ports and sensors
+    /// Listen on the ports of this daemon configuration, and compare what comes with its sensors
     #[arg(long, value_name = "FILE", conflicts_with_all = ["ports", "bind", "multicast", "interface", "health"])]
     config: Option<PathBuf>,
     /// How long to listen, seconds

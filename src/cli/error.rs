@@ -66,6 +66,9 @@ pub enum CliError {
     /// Options that contradict each other, or an invalid value.
     #[error("{0}")]
     Usage(String),
+    /// A sensor's web interface does not answer, or does not do what it is asked.
+    #[error("{0}")]
+    Sensor(String),
     /// The network refuses.
     #[error("cannot send to {to}: {source}")]
     Send {

@@ -4,6 +4,7 @@
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod calib;
+pub mod completions;
 pub mod config;
 pub mod doctor;
 mod error;
@@ -11,7 +12,8 @@ pub mod inspect;
 pub mod jobs;
 #[cfg(feature = "lab")]
 pub mod lab;
-pub mod options;
+pub mod objects;
+mod options;
 pub mod output;
 pub mod play;
 pub mod publish;
@@ -19,7 +21,9 @@ pub mod record;
 pub mod replay;
 pub mod run;
 pub mod send;
+pub mod sensor;
 pub mod signals;
+pub mod stream;
 pub mod tables;
 pub mod view;
 pub mod watch;
@@ -59,12 +63,16 @@ pub enum Command {
     View(Box<view::Args>),
     /// Listen to the sensors, and print faults and how to fix them
     Doctor(doctor::Args),
+    /// Show and set a sensor's own settings through its web interface: speed, returns, field of view
+    Sensor(sensor::Args),
     /// Describe a capture: its sensors, their settings and faults
     Inspect(inspect::Args),
     /// Show and compare calibrations, and read that of an HDL-64E from its packets
     Calib(calib::Args),
-    /// Check the daemon's configuration, or print one to begin with
+    /// Check the daemon's configuration, or print an example
     Config(config::Args),
+    /// Print the completions of a shell
+    Completions(completions::Args),
     /// What needs no sensor.
     #[cfg(feature = "lab")]
     #[command(flatten)]

@@ -112,9 +112,9 @@ pub enum WhichReturn {
 /// Values of `--method`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum GroundMethod {
-    /// Ground by slope, column by column, from the sensor's foot up
+    /// Ground by slope, column by column, from the sensor outwards; joins by distance and angle
     Slope,
-    /// Ground as in the paper: inclination, smoothed, flooded from the lowest row
+    /// As in the paper: ground by smoothed inclination, from the lowest row; joins by angle alone
     Paper,
 }
 
@@ -122,7 +122,7 @@ pub enum GroundMethod {
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Segmentation")]
 pub struct SegmentOptions {
-    /// How ground is found
+    /// How ground is found, and what is joined
     #[arg(long, value_enum, default_value_t = GroundMethod::Slope)]
     pub method: GroundMethod,
     #[command(flatten)]

@@ -2,17 +2,19 @@
 //! files.
 
 use std::io::{self, BufWriter, Stdout, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use serde::Serialize;
 
 use super::CliError;
+use super::stream::{Stream, is_stdout};
 use super::tables::SegmentTables;
 use crate::export::mcap::{McapOutput, SweepMessages};
-use crate::export::{Axes, Existing, Exporter, Format, Title, is_sweep_file};
+use crate::export::{Axes, Existing, Exporter, Format, Title, is_sweep_file, trimmed};
 use crate::files::output::{Former, sensor_folder};
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::SweepRef;
+use sweepd_core::sweep::buffers::HeapBuffer;
 use sweepd_core::sweep::layout::{TimeSource, flags};
 
 /// What to write of each sweep.
@@ -38,6 +40,10 @@ pub struct OutputOptions {
     /// A line a segment of all sweeps: FILE.jsonl or FILE.csv; - is standard output, as JSON
     #[arg(long, value_name = "FILE")]
     pub segments: Option<PathBuf>,
+    /// All sweeps one after another, in the bytes of docs/layout.md, for programs; - is standard
+    /// output
+    #[arg(long, value_name = "FILE")]
+    pub raw: Option<PathBuf>,
     /// Axes of the points in --csv and --pcd, and of --segments
     #[arg(long, value_enum, default_value_t = Axes::Sensor)]
     pub axes: Axes,
@@ -49,16 +55,40 @@ pub struct OutputOptions {
 }
 
 impl OutputOptions {
-    /// Whether standard output is for lines of JSON, without tables for people.
-    pub fn is_json(&self) -> bool {
-        self.json || self.segments.as_deref() == Some(Path::new("-"))
+    /// Whether standard output is for programs, without tables for people.
+    pub fn is_piped(&self) -> bool {
+        self.piped().next().is_some()
+    }
+
+    /// The options that write to standard output.
+    fn piped(&self) -> impl Iterator<Item = &'static str> {
+        let files = [("segments", &self.segments), ("raw", &self.raw)];
+        let files = files
+            .into_iter()
+            .filter(|(_, file)| file.as_deref().is_some_and(is_stdout));
+        let files = files.map(|(name, _)| name);
+        files.chain(self.json.then_some("json"))
+    }
+
+    /// Refuses two outputs in one stream.
+    fn check_piped(&self) -> Result<(), CliError> {
+        let piped: Vec<_> = self.piped().collect();
+        match piped[..] {
+            [first, second, ..] => {
+                let dash = if second == "json" { "" } else { " -" };
+                Err(CliError::Usage(format!(
+                    "--{first} - and --{second}{dash} both write to standard output; give --{first} a file"
+                )))
+            }
+            _ => Ok(()),
+        }
     }
 }
 
 /// What becomes of files that exist.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub struct ForceOptions {
-    /// Replace files that exist; of a folder of outputs, all of a former run
+    /// Replace existing files; in an output folder, all files of a former run
     #[arg(long)]
     force: bool,
 }
@@ -157,6 +187,7 @@ pub struct Outputs {
     former: Vec<Former>,
     mcap: Option<McapOutput>,
     segments: Option<SegmentTables>,
+    raw: Option<Stream>,
     axes: Axes,
     stdout: Option<BufWriter<Stdout>>,
     timing: bool,
@@ -179,6 +210,8 @@ pub struct Encoder {
     formats: Vec<Format>,
     axes: Axes,
     has_messages: bool,
+    is_raw: bool,
+    timing: bool,
 }
 
 /// What is written of a sweep.
@@ -186,6 +219,8 @@ pub struct EncodedFiles {
     /// Its files, or why one cannot be made, in the order of the formats.
     files: Vec<io::Result<Vec<u8>>>,
     messages: Option<SweepMessages>,
+    /// The sweep itself.
+    raw: Option<HeapBuffer>,
 }
 
 impl Encoder {
@@ -201,6 +236,10 @@ impl Encoder {
                 .map(|format| format.encode(sweep, self.axes, &title))
                 .collect(),
             messages: self.has_messages.then(|| SweepMessages::of(&sweep)),
+            raw: match self.is_raw {
+                true => trimmed(&sweep, self.timing),
+                false => None,
+            },
         }
     }
 }
@@ -212,6 +251,7 @@ impl Outputs {
     /// # Errors
     /// [`CliError`]: what cannot be written, or is there and must not be replaced.
     pub fn new(options: &OutputOptions) -> Result<Self, CliError> {
+        options.check_piped()?;
         let mut files = Vec::new();
         for (dir, format) in [
             (&options.csv, Format::Csv),
@@ -224,11 +264,15 @@ impl Outputs {
         let existing = options.force.existing();
         let stdout = options.json.then(|| BufWriter::new(io::stdout()));
         let segments = match &options.segments {
-            Some(path) => Some(SegmentTables::create(path, options.json, axes, existing)?),
+            Some(path) => Some(SegmentTables::create(path, axes, existing)?),
             None => None,
         };
         let mcap = match &options.mcap {
             Some(path) => Some(McapOutput::create(path, existing)?),
+            None => None,
+        };
+        let raw = match &options.raw {
+            Some(path) => Some(Stream::create(path, existing)?),
             None => None,
         };
         let mut outputs = Self {
@@ -238,6 +282,7 @@ impl Outputs {
             former: Vec::new(),
             mcap,
             segments,
+            raw,
             axes,
             stdout,
             timing: !options.no_timing,
@@ -268,6 +313,8 @@ impl Outputs {
             formats: self.files.iter().map(|(_, format)| *format).collect(),
             axes: self.axes,
             has_messages: self.mcap.is_some(),
+            is_raw: self.raw.is_some(),
+            timing: self.timing,
         }
     }
 
@@ -292,6 +339,9 @@ impl Outputs {
         }
         if let Some(segments) = &mut self.segments {
             segments.sweep(sweep, seq)?;
+        }
+        if let Some((raw, bytes)) = self.raw.as_mut().zip(files.raw) {
+            raw.write(|out| out.write_all(bytes.as_ref()))?;
         }
         let timing = self.timing;
         self.line(|| SweepLine {
@@ -339,10 +389,10 @@ impl Outputs {
         if let Some(mcap) = self.mcap.take() {
             mcap.finish()?;
         }
-        match self.segments.take() {
-            Some(segments) => segments.finish(),
-            None => Ok(()),
+        if let Some(segments) = self.segments.take() {
+            segments.finish()?;
         }
+        self.raw.take().map_or(Ok(()), Stream::finish)
     }
 
     /// The exporters of a sensor: the first one writes into the directories themselves, each other

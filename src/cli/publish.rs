@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use super::CliError;
 use sweepd_client::host::{monotonic_ns, realtime_ns};
 use sweepd_client::publish::{
-    Domain, Loans, NAME_RULE, PublishError, ServiceSettings, Slot, is_sensor_name,
+    Domain, Loans, NAME_RULE, PublishError, ServiceSettings, Slot, Topic, is_sensor_name,
 };
 use sweepd_core::sweep::SweepMut;
 use sweepd_core::sweep::layout::Completion;
@@ -31,11 +31,11 @@ impl RootOptions {
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Sharing")]
 pub struct PublishOptions {
-    /// Share the sweeps as the daemon would, as the sensor of this name; again for the second
+    /// Share the sweeps as the daemon would, under this sensor name; give it again for the second
     /// sensor in the capture, and so on
     #[arg(long, value_name = "NAME", value_parser = sensor_name)]
     pub publish: Vec<String>,
-    /// Consumers that each may have at most
+    /// Maximum number of consumers of each sensor
     #[arg(long, value_name = "N", default_value = "4", value_parser = clap::value_parser!(u8).range(1..=16))]
     pub max_consumers: u8,
     #[command(flatten)]
@@ -95,6 +95,7 @@ impl PublishOptions {
         };
         let settings = ServiceSettings {
             name: name.to_owned(),
+            topic: Topic::Sweeps,
             max_consumers: self.max_consumers.into(),
             model: String::new(),
             address: address.to_owned(),

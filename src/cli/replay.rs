@@ -113,7 +113,7 @@ impl<'a> Replay<'a> {
         let other_traffic = capture.counts().other_traffic() + sensors.others() - others_before;
         outputs.line(|| SummaryLine::new(capture, other_traffic, &reports, timing))?;
         outputs.finish()?;
-        if !args.output.is_json() {
+        if !args.is_piped() {
             summary::print(other_traffic, &reports, timing).map_err(CliError::Stdout)?;
         }
         let is_read = messages::show_damage(capture, read);

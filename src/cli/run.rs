@@ -21,15 +21,15 @@ const LOG: &str = "SWEEPD_LOG";
 #[derive(Clone, Debug, clap::Args)]
 #[command(group(clap::ArgGroup::new("sensors of the daemon").required(true).args(["config", "sensors"])))]
 #[command(after_help = "\
-SIGTERM or Ctrl-C ends the daemon, SIGHUP has it read its configuration again. Its log goes to \
-standard error; systemd, where it runs the daemon, hears when it is ready and how it is.
+SIGTERM or Ctrl-C ends the daemon, SIGHUP makes it reload its configuration. Its log goes to \
+standard error. Under systemd, it reports when it is ready, and its state.
 
 Examples:
   sweepd run --sensor 192.168.1.201
   sweepd run --config /etc/sweepd/sweepd.toml
   SWEEPD_LOG=sweepd=debug sweepd run --config sweepd.toml")]
 pub struct Args {
-    /// What is to run, TOML
+    /// Configuration file, TOML
     #[arg(short, long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Run this sensor without a file, all else at its default: its address, as `address` in a

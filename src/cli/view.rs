@@ -18,6 +18,7 @@ use super::options::model;
 use crate::view::source::simulation::Simulation;
 #[cfg(feature = "lab")]
 use std::sync::Arc;
+use sweepd_core::pipeline;
 #[cfg(feature = "lab")]
 use sweepd_core::sensor::Model;
 
@@ -35,7 +36,7 @@ Examples:
   sweepd view pcap_fixtures/street_vlp16.pcap.gz
   sweepd view --simulate hdl32e
   sweepd view roof
-  ssh -L 9178:localhost:9178 ROBOT sweepd view --no-open")]
+  ssh -t -L 9178:localhost:9178 ROBOT sweepd view --no-open")]
 pub struct Args {
     /// A capture, as of `sweepd replay`, or the name of a sensor of the running daemon [default: the
     /// only sensor; of several, the page lists them]
@@ -49,7 +50,8 @@ pub struct Args {
     #[arg(long, value_name = "IP:PORT", default_value_t = LISTEN)]
     listen: SocketAddr,
     /// Allow --listen at an address that others can reach. There is no password and no encryption:
-    /// everyone in that network can see what the sensor sees, and play, pause and seek a capture
+    /// everyone in that network can see what the sensor sees, and play, pause, seek and choose what
+    /// all pages show
     #[arg(long)]
     public: bool,
     /// Do not open the browser
@@ -73,6 +75,13 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<(), CliError> {
     let config = pipeline_config(&args.sensor, &args.segment)?;
     let segment = config.segment.clone();
+    let of_capture = args.is_endless
+        || !args.sensor.sensor.is_empty()
+        || config
+            != pipeline::Config {
+                segment: segment.clone(),
+                ..pipeline::Config::default()
+            };
     let recipe = |origin| {
         Box::new(Recipe {
             origin,
@@ -93,6 +102,11 @@ pub fn run(args: &Args) -> Result<(), CliError> {
             recipe: recipe(Origin::Capture(path.to_owned())),
             is_endless: args.is_endless,
         },
+        _ if of_capture => {
+            let message = "a sensor's sweeps are shared decoded: --loop, --model, --calibration, --sensor, --cut-azimuth, --return \
+                 and --gps-without-pps are for captures; leave them out, and set them in the daemon's configuration";
+            return Err(CliError::Usage(message.to_owned()));
+        }
         named => Source::Sensor {
             domain: args.root.domain(),
             name: named.and_then(Path::to_str).map(str::to_owned),
@@ -139,7 +153,7 @@ impl Args {
         if !self.listen.ip().is_loopback() && !self.public {
             return Err(CliError::Usage(format!(
                 "--listen {}: others could reach that address, and there is no password; add --public if they may see the \
-                 sensor, or listen on 127.0.0.1 and use `ssh -L 9178:localhost:9178`",
+                 sensor, or listen on 127.0.0.1 and use `ssh -t -L 9178:localhost:9178`",
                 self.listen
             )));
         }
@@ -166,6 +180,15 @@ impl Args {
         let mut shown = address;
         if address.ip().is_unspecified() {
             shown.set_ip(Ipv4Addr::LOCALHOST.into());
+        }
+        if self.public {
+            let port = address.port();
+            // Without standard error it cannot be told.
+            let _ = writeln!(
+                io::stderr(),
+                "others open it at port {port} of this host's IP address: without a password they see what the sensor sees, and \
+                 play, pause, seek and choose what all pages show"
+            );
         }
         let url = format!("http://{shown}/");
         let mut out = io::stdout().lock();

@@ -1,6 +1,7 @@
 //! `sweepd watch`: a consumer for people.
 
 mod latency;
+mod objects;
 mod table;
 
 use std::io;
@@ -59,6 +60,11 @@ pub struct Args {
     /// At the end, show how long each stage took, as histograms
     #[arg(long)]
     latency: bool,
+    /// Print objects as they become complete while the head turns: one JSON line each on standard
+    /// output, and one for each sweep with the labels of its objects; with --latency, histograms of
+    /// their age instead
+    #[arg(long, conflicts_with = "json")]
+    objects: bool,
     #[command(flatten)]
     output: OutputOptions,
     #[command(flatten)]
@@ -79,9 +85,12 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         return Ok(());
     };
     let client = Client::within(&domain, &name)?;
+    if args.objects {
+        return objects::run(args, &client, &over);
+    }
     let mut outputs = Outputs::new(&args.output)?;
     outputs.remove_former()?;
-    let table = (!args.output.is_json()).then(|| Table::new(&name));
+    let table = (!args.output.is_piped()).then(|| Table::new(&name));
     Watch {
         args,
         name,
@@ -249,13 +258,17 @@ impl Watch<'_> {
         }
     }
 
-    /// What is published instead.
+    /// The sensors that are published, or why none is.
     fn published(&self) -> String {
         let domain = self.args.root.domain();
         let root = domain.root().display();
         let names = Client::sensors(&domain).unwrap_or_default();
         if names.is_empty() {
             return format!("; nothing is published in {root}: is the daemon running?");
+        }
+        if names.contains(&self.name) {
+            return "; its service is there, but cannot be opened: is the daemon running?"
+                .to_owned();
         }
         let names_list = names.join(", ");
         match nearest(&self.name, names.iter().map(String::as_str)) {

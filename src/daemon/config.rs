@@ -22,8 +22,10 @@ pub use changes::{Change, Effect};
 pub use error::{ConfigError, Problems};
 
 use super::losses::Limits;
+use crate::sensor_settings::Settings;
 use error::Problem;
 use sweepd_core::pipeline;
+use sweepd_core::segment::objects::MAX_WIDTH_RAD;
 use sweepd_core::sensor::{Calibration, Model};
 
 /// Longest file that is read as a configuration, bytes.
@@ -103,15 +105,35 @@ pub struct SensorConfig {
     pub position_port: u16,
     /// Consumers at most.
     pub max_consumers: usize,
+    /// How its objects are told while the head turns.
+    pub objects: ObjectsConfig,
     /// Whether it may send two returns, which double the planes; `None` when that is told by its
     /// packets.
     pub dual: Option<bool>,
-    /// Speed it is set to, turns a minute, if that is to be watched.
-    pub rpm: Option<f32>,
+    /// What it should be set to; nothing is set by the daemon.
+    pub want: Settings,
     /// Shares of its packets above which losses are told.
     pub losses: Limits,
     /// How its packets are decoded and its sweeps segmented.
     pub pipeline: pipeline::Config,
+}
+
+/// How objects are told while the head turns.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ObjectsConfig {
+    /// How long what can be told may wait for more, nanoseconds.
+    pub every_ns: i64,
+    /// Wider objects are told in parts, radians.
+    pub max_width_rad: f32,
+}
+
+impl Default for ObjectsConfig {
+    fn default() -> Self {
+        Self {
+            every_ns: 5_000_000,
+            max_width_rad: MAX_WIDTH_RAD,
+        }
+    }
 }
 
 /// A UDP port and the thread that serves it.

@@ -217,7 +217,7 @@ impl Control {
             watchers.push(Watcher::new(
                 &status.name,
                 place,
-                sensor.rpm,
+                sensor.want.clone(),
                 sensor.losses,
                 now,
             ));
@@ -416,7 +416,7 @@ impl Control {
                 Event::Reconfigured(Err(error)) => warn!("{name}: goes on as before: {error}"),
                 Event::NotShared(why) => {
                     warn!(
-                        "{name}: sweeps reach nobody: {}",
+                        "{name}: sweeps are not shared: {}",
                         sensor.sharing.trouble().unwrap_or(why)
                     );
                 }
@@ -475,8 +475,8 @@ impl Control {
             if new.pipeline != old.pipeline {
                 self.runtime.reconfigure(index, new.pipeline.clone());
             }
-            if new.rpm != old.rpm {
-                self.watchers[index].expect_rpm(new.rpm);
+            if new.want != old.want {
+                self.watchers[index].expect(new.want.clone());
             }
             self.watchers[index].limit_losses(new.losses);
         }
@@ -529,6 +529,7 @@ fn observation(counters: &SensorCounters, now: Duration) -> Observation {
         model,
         return_mode,
         rpm: counters.rpm(),
+        fov: counters.fov(),
     });
     let data = counters.data.get();
     let position = counters.position.get();

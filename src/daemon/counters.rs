@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, AtomicU32, AtomicU64, O
 
 use super::losses::Tally;
 use crate::admission::Refusal;
+use crate::sensor_settings::FieldOfView;
 use sweepd_core::pipeline::{Counts, DarkBeam};
 use sweepd_core::segment::MAX_ROWS;
 use sweepd_core::sensor::Model;
@@ -185,6 +186,8 @@ pub struct SensorCounters {
     model: AtomicU32,
     return_mode: AtomicU8,
     rpm: AtomicU32,
+    /// First degree in the upper half, last in the lower, and [`FOV_KNOWN`]; 0 is unknown.
+    fov: AtomicU32,
     gps: AtomicU8,
     /// Degrees Celsius plus [`TEMPERATURE_BIAS`]; 0 means "not sent".
     temperature: AtomicI32,
@@ -202,6 +205,8 @@ impl Default for DarkBeamsByRow {
     }
 }
 
+/// Set where the field of view is known: above the bits of both degrees.
+const FOV_KNOWN: u32 = 1 << 31;
 /// Added to a temperature, so that 0 can mean none.
 const TEMPERATURE_BIAS: i32 = 1_000;
 
@@ -318,6 +323,21 @@ impl SensorCounters {
     /// Turns a minute of the newest sweep; 0 before the first.
     pub fn rpm(&self) -> f32 {
         f32::from_bits(self.rpm.load(Relaxed))
+    }
+
+    /// Notes what the sensor measures of a turn.
+    pub fn set_fov(&self, FieldOfView { start_deg, end_deg }: FieldOfView) {
+        let fov = FOV_KNOWN | u32::from(start_deg) << 16 | u32::from(end_deg);
+        self.fov.store(fov, Relaxed);
+    }
+
+    /// What the sensor measures of a turn, once sweeps have shown it.
+    pub fn fov(&self) -> Option<FieldOfView> {
+        let fov = self.fov.load(Relaxed);
+        (fov != 0).then_some(FieldOfView {
+            start_deg: ((fov & !FOV_KNOWN) >> 16) as u16,
+            end_deg: fov as u16,
+        })
     }
 
     /// Notes a temperature, degrees Celsius.

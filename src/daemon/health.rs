@@ -101,7 +101,7 @@ impl View {
         faults.extend(self.sensor_reasons(true));
         for sensor in self.sensors.iter() {
             if let Some(why) = sensor.sharing.trouble() {
-                faults.push(format!("{}: sweeps reach nobody: {why}", sensor.name));
+                faults.push(format!("{}: sweeps are not shared: {why}", sensor.name));
             }
         }
         for port in &self.hanging {

@@ -11,31 +11,24 @@
 //! could read the answers in a browser here.
 
 use std::convert::Infallible;
-use std::net::IpAddr;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
 
 use http_body_util::Full;
 use hyper::body::{Bytes, Incoming};
-use hyper::header::{ALLOW, CACHE_CONTROL, CONTENT_TYPE, HOST, HeaderValue};
+use hyper::header::HOST;
 use hyper::http::uri::Authority;
-use hyper::server::conn::http1;
 use hyper::service::service_fn;
-use hyper::{Method, Request, Response, StatusCode};
-use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper::{Request, Response, StatusCode};
+use hyper_util::rt::TokioIo;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::Semaphore;
 use tokio::time::timeout;
 
 use super::health::View;
 use super::metrics;
+use crate::http::{self, PATIENCE, ip_of, is_localhost, response, text};
 
-/// Most simultaneous connections; more are closed at once.
+/// Most connections at a time.
 const CONNECTIONS: usize = 16;
-/// Time limit of a connection.
-const PATIENCE: Duration = Duration::from_secs(5);
-/// Most bytes of a request; the least limit that hyper accepts.
-const REQUEST_BYTES: usize = 8192;
 
 /// Where health and metrics are served.
 pub struct Http {
@@ -51,22 +44,14 @@ pub async fn serve(http: &Http, view: Arc<Mutex<View>>) -> Infallible {
         ref listener,
         is_public,
     } = http;
-    let places = Arc::new(Semaphore::new(CONNECTIONS));
-    loop {
-        let Ok((stream, _)) = listener.accept().await else {
-            // Most likely there are no free file descriptors: retry later.
-            tokio::time::sleep(Duration::from_millis(100)).await;
-            continue;
-        };
-        let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
-            continue;
-        };
+    let converse = |stream, place| {
         let view = Arc::clone(&view);
-        tokio::spawn(async move {
+        async move {
             let _ = timeout(PATIENCE, converse(stream, view, is_public)).await;
             drop(place);
-        });
-    }
+        }
+    };
+    http::accept(listener, CONNECTIONS, converse).await
 }
 
 async fn converse(stream: TcpStream, view: Arc<Mutex<View>>, is_public: bool) {
@@ -74,11 +59,8 @@ async fn converse(stream: TcpStream, view: Arc<Mutex<View>>, is_public: bool) {
         let response = answer(&request, &view, is_public);
         async move { Ok::<_, Infallible>(response) }
     });
-    let mut http = http1::Builder::new();
-    http.timer(TokioTimer::new())
-        .header_read_timeout(PATIENCE)
-        .max_buf_size(REQUEST_BYTES)
-        .keep_alive(false);
+    let mut http = http::connection();
+    http.keep_alive(false);
     // An error means that the client closed the connection.
     let _ = http.serve_connection(TokioIo::new(stream), service).await;
 }
@@ -94,11 +76,7 @@ fn answer(
             "only requests to an IP address or to localhost are answered; `http_public = true` allows other names",
         );
     }
-    if !matches!(*request.method(), Method::GET | Method::HEAD) {
-        let mut refused = text(StatusCode::METHOD_NOT_ALLOWED, "only GET and HEAD");
-        refused
-            .headers_mut()
-            .insert(ALLOW, HeaderValue::from_static("GET, HEAD"));
+    if let Some(refused) = http::refused_method(request) {
         return refused;
     }
     let view = view.lock().unwrap_or_else(PoisonError::into_inner);
@@ -133,25 +111,7 @@ fn is_for_this_host<B>(request: &Request<B>) -> bool {
 
 /// Whether it is an IP address or `localhost`.
 fn is_own(authority: &Authority) -> bool {
-    let host = authority.host();
-    let ip = host
-        .strip_prefix('[')
-        .and_then(|host| host.strip_suffix(']'))
-        .unwrap_or(host);
-    host.eq_ignore_ascii_case("localhost") || ip.parse::<IpAddr>().is_ok()
-}
-
-fn text(status: StatusCode, text: &str) -> Response<Full<Bytes>> {
-    response(status, "text/plain; charset=utf-8", format!("{text}\n"))
-}
-
-fn response(status: StatusCode, kind: &'static str, body: String) -> Response<Full<Bytes>> {
-    let mut response = Response::new(Full::new(Bytes::from(body)));
-    *response.status_mut() = status;
-    let headers = response.headers_mut();
-    headers.insert(CONTENT_TYPE, HeaderValue::from_static(kind));
-    headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
-    response
+    is_localhost(authority) || ip_of(authority).is_some()
 }
 
 #[cfg(test)]

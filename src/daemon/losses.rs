@@ -234,7 +234,8 @@ impl Recent {
             }
             Cause::Host => {
                 format!(
-                    "this host's kernel dropped {dropped} datagrams on {place}, since nobody fetched them in time"
+                    "this host's kernel dropped {dropped} datagrams on {place}, because the daemon did not \
+                     fetch them in time"
                 )
             }
             Cause::Flood => format!(

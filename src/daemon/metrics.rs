@@ -157,7 +157,7 @@ impl Snapshot {
         self.total(encoder, "partial_sweeps", help, |of| {
             of.partial_sweeps.get()
         })?;
-        let help = "Sweeps that no consumer could have got";
+        let help = "Sweeps that were not shared";
         self.total(encoder, "unshared_sweeps", help, |of| of.unshared.get())?;
         let help = "Times that shared memory was made anew because files of it were deleted";
         self.by_sensor(encoder, "renewed", help, |one| {
@@ -173,7 +173,8 @@ impl Snapshot {
         let ports = self.ports.iter();
         let received = ports.map(|one| (port_label(one), Total(one.counters.received.get())));
         family(encoder, "received", help, received)?;
-        let help = "Datagrams that the kernel dropped because nobody fetched them in time";
+        let help =
+            "Datagrams that the kernel dropped because the daemon did not fetch them in time";
         let ports = self.ports.iter();
         let dropped = ports.map(|one| (port_label(one), Total(one.counters.dropped.get())));
         family(encoder, "dropped", help, dropped)?;

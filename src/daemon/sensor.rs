@@ -5,13 +5,16 @@ use std::iter;
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
 
+use super::config::ObjectsConfig;
 use super::counters::{Gps, SensorCounters, Stage};
-use super::sharing::Outgoing;
+use super::sharing::{ObjectsOutput, Outgoing};
+use crate::sensor_settings::FieldOfView;
 use sweepd_client::host::{monotonic_ns, realtime_ns};
 use sweepd_core::assemble::clock::vouched_utc_ns;
 use sweepd_core::pipeline::{self, Counts, Fault, Notice, Pipeline};
 use sweepd_core::segment::ConfigError;
 use sweepd_core::sweep::layout::{Completion, flags};
+use sweepd_core::sweep::objects::{self, Sending};
 use sweepd_core::sweep::{Buffers, Header, Memory, SweepMut};
 use sweepd_core::wire::nmea::Rmc;
 use sweepd_core::wire::position::Pps;
@@ -57,6 +60,9 @@ pub struct Sensor<B: Buffers> {
     /// A complete sweep that waits for its shared memory, and when it was completed
     /// (CLOCK_MONOTONIC).
     held: Option<(B::Buffer, i64)>,
+    objects: Option<Box<dyn ObjectsOutput>>,
+    objects_config: ObjectsConfig,
+    is_listened_to: bool,
 }
 
 /// Names of a sensor, and the receivers of its events and counts.
@@ -106,7 +112,22 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
             second_look_ns: None,
             is_shared: true,
             held: None,
+            objects: None,
+            objects_config: ObjectsConfig::default(),
+            is_listened_to: false,
         })
+    }
+
+    /// Tells its objects there, where somebody listens.
+    #[must_use]
+    pub fn with_objects(
+        mut self,
+        config: ObjectsConfig,
+        objects: Option<Box<dyn ObjectsOutput>>,
+    ) -> Self {
+        self.objects_config = config;
+        self.objects = objects;
+        self
     }
 
     /// Takes a data packet; `dropped` counts the datagrams that the kernel had dropped on the port
@@ -121,9 +142,16 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         self.counters.refused.add(1);
     }
 
-    /// When the packet that completes the open sweep is expected; see [`Pipeline::due_ns`].
+    /// When the packet is expected that is waited for: the one that completes the open sweep, or
+    /// where somebody listens, one with which objects can be told, so that none waits longer for
+    /// more than is configured.
     pub fn due_ns(&self) -> Option<i64> {
-        self.pipeline.due_ns()
+        let sweep_ns = self.pipeline.due_ns()?;
+        if !self.is_listened_to {
+            return Some(sweep_ns);
+        }
+        let objects_ns = self.pipeline.objects_due_ns(self.objects_config.every_ns);
+        Some(objects_ns.map_or(sweep_ns, |objects_ns| objects_ns.min(sweep_ns)))
     }
 
     /// Takes a position packet.
@@ -161,7 +189,38 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
 
     /// Segments columns before the sweep is complete, after a batch.
     pub fn work_ahead(&mut self) {
+        if !self.is_listened_to && self.has_listeners() {
+            self.is_listened_to = true;
+            self.pipeline
+                .listen(Some(self.objects_config.max_width_rad));
+        }
         self.pipeline.segment_early(&mut self.memory);
+        self.send_objects();
+    }
+
+    fn has_listeners(&self) -> bool {
+        self.objects
+            .as_ref()
+            .is_some_and(|output| output.has_listeners())
+    }
+
+    /// Sends the objects that became known.
+    fn send_objects(&mut self) {
+        let Some(output) = &mut self.objects else {
+            return;
+        };
+        if let Some(told) = self.pipeline.told() {
+            let mount = &self.config.segment.mount;
+            let sending = Sending {
+                name: &self.name,
+                run_ns: self.run_ns,
+                sent_ns: realtime_ns(),
+                sent_monotonic_ns: monotonic_ns(),
+                position_m: self.config.position_m,
+                angles_rad: [self.config.yaw_rad, mount.pitch_rad, mount.roll_rad],
+            };
+            objects::write(&told, &sending, |message| output.send(message));
+        }
     }
 
     /// Updates the counters after a batch, and publishes a held sweep.
@@ -197,6 +256,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         self.counters.set_dark_beams(iter::empty());
         self.pipeline.expect_unit(before.into_unit());
         self.config = config;
+        self.is_listened_to = false;
         self.run_ns = realtime_ns();
         self.second_look_ns = None;
         Ok(())
@@ -212,6 +272,13 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     fn send_sweeps(&mut self, dropped: u64) {
         while let Some(sweep) = self.pipeline.poll(&mut self.memory) {
             self.send(sweep, dropped);
+            self.send_objects();
+            // Not within a sweep: a consumer that comes back during it would get the same objects
+            // again.
+            if self.is_listened_to && !self.has_listeners() {
+                self.is_listened_to = false;
+                self.pipeline.listen(None);
+            }
         }
     }
 
@@ -274,6 +341,10 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
             .steady_sweeps
             .add((!is_partial && !header.has(flags::RATE_UNSTABLE | flags::STOPPED)).into());
         counters.set_sensor(header);
+        let limits_deg = self.pipeline.field_of_view_deg();
+        if let Some(fov) = FieldOfView::measured(header.flags, limits_deg) {
+            counters.set_fov(fov);
+        }
         counters.stage(Stage::Decode).note(header.decode_ns.into());
         counters.stage(Stage::Ground).note(header.ground_ns.into());
         counters.stage(Stage::Label).note(header.label_ns.into());

@@ -45,6 +45,17 @@ pub struct SharedOutput<B> {
     pub buffers: B,
     /// Its status, for people.
     pub status: Arc<dyn SharingStatus>,
+    /// Where its objects are told, if they are.
+    pub objects: Option<Box<dyn ObjectsOutput>>,
+}
+
+/// Where the objects of a sensor are told.
+pub trait ObjectsOutput: Send {
+    /// Whether somebody listens; known after a second or sooner.
+    fn has_listeners(&self) -> bool;
+
+    /// Sends a message, and wakes those that wait; without shared memory it is lost.
+    fn send(&mut self, message: &[u8]);
 }
 
 /// State of the publishing of one sensor, for other threads.

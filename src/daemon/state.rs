@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use super::losses::{Level, Limits, Losses, Recent, SensorAddress, Tally, Turn};
 use crate::beams;
+use crate::sensor_settings::{FieldOfView, Settings};
 use sweepd_core::pipeline::DarkBeam;
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::data::ReturnMode;
@@ -98,6 +99,8 @@ pub struct Running {
     pub rpm: f32,
     /// Which returns it reports.
     pub return_mode: ReturnMode,
+    /// What it measures of a turn, if sweeps have shown it.
+    pub fov: Option<FieldOfView>,
 }
 
 impl fmt::Display for Running {
@@ -150,8 +153,8 @@ pub struct Watcher {
     /// Source and port of its packets.
     place: SensorAddress,
     losses: Losses,
-    /// Configured speed in turns a minute, if watched.
-    rpm: Option<f32>,
+    /// What it should be set to.
+    want: Settings,
     state: State,
     hindrance: Option<Hindrance>,
     /// The hindrance that was last logged.
@@ -162,6 +165,8 @@ pub struct Watcher {
     /// Whether it was logged that no packets come at all.
     has_hinted: bool,
     is_off_speed: bool,
+    /// Other settings that packets show to be other than wanted, by name and in words.
+    unlike: Vec<(&'static str, String)>,
     /// The beams that have been dark for so long that people are to be warned.
     dark: Vec<DarkBeam>,
     /// Model and mode as last logged.
@@ -173,7 +178,7 @@ impl Watcher {
     pub fn new(
         name: &str,
         place: SensorAddress,
-        rpm: Option<f32>,
+        want: Settings,
         limits: Limits,
         now: Duration,
     ) -> Self {
@@ -181,7 +186,7 @@ impl Watcher {
             name: name.to_owned(),
             place,
             losses: Losses::new(limits),
-            rpm,
+            want,
             state: State::Waiting,
             hindrance: None,
             told_hindrance: None,
@@ -190,6 +195,7 @@ impl Watcher {
             newest_sweep: now,
             has_hinted: false,
             is_off_speed: false,
+            unlike: Vec::new(),
             dark: Vec::new(),
             told: None,
         }
@@ -237,9 +243,10 @@ impl Watcher {
         self.losses.begin_anew();
     }
 
-    /// Watches another speed from now on.
-    pub fn expect_rpm(&mut self, rpm: Option<f32>) {
-        (self.rpm, self.is_off_speed) = (rpm, false);
+    /// Other settings are wanted from now on.
+    pub fn expect(&mut self, want: Settings) {
+        self.is_off_speed &= want.rpm == self.want.rpm;
+        self.want = want;
     }
 
     /// Why the sensor is not well; `None` where it is.
@@ -263,6 +270,9 @@ impl Watcher {
         if self.is_off_speed {
             let it = if loses { "it " } else { "" };
             all.push(format!("{it}{}", self.off_speed()));
+        }
+        if !self.unlike.is_empty() {
+            all.push(format!("{}: change one of the two", self.unlike()));
         }
         all.extend(beams::sentence(&self.dark));
         (!all.is_empty()).then(|| all.join("; "))
@@ -312,7 +322,10 @@ impl Watcher {
             self.has_hinted = true;
             messages.push(self.message(true, &self.silence()));
         }
-        messages.extend(running.and_then(|running| self.watch_speed(running.rpm)));
+        if let Some(running) = running {
+            messages.extend(self.watch_speed(running.rpm));
+            messages.extend(self.watch_settings(&running));
+        }
         messages.extend(self.observe_losses(now));
         messages
     }
@@ -359,7 +372,7 @@ impl Watcher {
             State::SpinningUp if was == State::Streaming => self.message(true, NO_SWEEP),
             State::SpinningUp => {
                 let text = format!(
-                    "packets from {} come, its first whole turn is awaited",
+                    "packets arrive from {}, waiting for its first whole turn",
                     self.place.address
                 );
                 self.message(false, &text)
@@ -374,7 +387,7 @@ impl Watcher {
     }
 
     fn watch_speed(&mut self, rpm: f32) -> Option<Message> {
-        let set = self.rpm?;
+        let set = f32::from(self.want.rpm?.0);
         let share = (rpm - set).abs() / set;
         let is_off = share
             > if self.is_off_speed {
@@ -393,6 +406,26 @@ impl Watcher {
         }
     }
 
+    /// A message if packets begin or cease to show other settings than wanted.
+    fn watch_settings(&mut self, running: &Running) -> Option<Message> {
+        let unlike = self.want.unlike(running.return_mode, running.fov);
+        let before = std::mem::replace(&mut self.unlike, unlike);
+        // The edges of a field of view are measured to a degree, and never quite the same.
+        let names = before.iter().map(|(name, _)| name);
+        if names.eq(self.unlike.iter().map(|(name, _)| name)) {
+            return None;
+        }
+        Some(match self.unlike.is_empty() {
+            true => self.message(false, "is set as wanted again"),
+            false => self.message(true, &self.unlike()),
+        })
+    }
+
+    fn unlike(&self) -> String {
+        let words: Vec<&str> = self.unlike.iter().map(|(_, what)| &what[..]).collect();
+        words.join("; ")
+    }
+
     fn observe_losses(&mut self, now: &Observation) -> Option<Message> {
         // For a sensor that is silent or cannot be decoded, there are other messages.
         if !matches!(self.state, State::Streaming | State::SpinningUp) {
@@ -409,10 +442,8 @@ impl Watcher {
 
     fn off_speed(&self) -> String {
         let rpm = self.before.running.map_or(0.0, |running| running.rpm);
-        let set = self.rpm.unwrap_or_default();
-        format!(
-            "turns at {rpm:.0} rpm and is configured for {set:.0}: set one of them to the other"
-        )
+        let set = self.want.rpm.map_or(0, |rpm| rpm.0);
+        format!("turns at {rpm:.0} rpm, [sensor.want] says {set}: change one of the two")
     }
 
     fn silence(&self) -> String {
@@ -436,19 +467,23 @@ impl Watcher {
     }
 }
 
-const NO_CALIBRATION: &str = "an HDL-64E without a calibration file: the one in its packets is awaited, which takes some 2 s of them";
-const BEAMS_ARE_BACK: &str = "the beams that had not returned do again, or are counted anew";
+const NO_CALIBRATION: &str =
+    "an HDL-64E without a calibration file: waiting for the calibration in its packets, about 2 s";
+const BEAMS_ARE_BACK: &str =
+    "the beams that had not returned return again, or their counts were reset";
 const NO_SWEEP: &str =
     "packets come and no whole turn at a steady speed: does its head turn, and is its motor set?";
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sensor_settings::{Returns, Rpm};
 
     const RUNNING: Running = Running {
         model: Model::Vlp16,
         rpm: 599.6,
         return_mode: ReturnMode::Strongest,
+        fov: Some(FieldOfView::WHOLE),
     };
 
     /// A sensor that is observed ten times a second.
@@ -458,14 +493,18 @@ mod tests {
     }
 
     impl Watched {
-        fn new(rpm: Option<f32>) -> Self {
+        fn new(rpm: Option<u16>) -> Self {
+            let want = Settings {
+                rpm: rpm.map(Rpm),
+                ..Settings::default()
+            };
             let place = SensorAddress {
                 address: "192.168.1.201".to_owned(),
                 port: Some(2368),
                 sensors: 1,
             };
             Self {
-                watcher: Watcher::new("roof", place, rpm, Limits::default(), Duration::ZERO),
+                watcher: Watcher::new("roof", place, want, Limits::default(), Duration::ZERO),
                 seen: Observation::default(),
             }
         }
@@ -502,7 +541,7 @@ mod tests {
         assert_eq!(roof.observe(19, 0, 0), [""; 0]);
         assert_eq!(roof.observe(100, 0, 0), [silence]);
         assert_eq!(roof.watcher.state(), State::Waiting);
-        let spinning = "roof: packets from 192.168.1.201 come, its first whole turn is awaited";
+        let spinning = "roof: packets arrive from 192.168.1.201, waiting for its first whole turn";
         assert_eq!(roof.observe(100, 75, 0), [spinning]);
         assert!(roof.watcher.complaint().is_some());
         let streaming = "roof: streaming, VLP-16 at 600 rpm, one return";
@@ -590,13 +629,13 @@ mod tests {
 
     #[test]
     fn a_wrong_speed_is_reported_once_and_makes_the_sensor_unwell() {
-        let mut roof = Watched::new(Some(600.0));
+        let mut roof = Watched::new(Some(600));
         assert_eq!(roof.observe(5, 75, 1).len(), 1);
         roof.turn(Running {
             rpm: 540.0,
             ..RUNNING
         });
-        let off = "turns at 540 rpm and is configured for 600: set one of them to the other";
+        let off = "turns at 540 rpm, [sensor.want] says 600: change one of the two";
         assert_eq!(roof.observe(5, 75, 1), [format!("roof: {off}")]);
         assert_eq!(roof.watcher.complaint().as_deref(), Some(off));
         roof.turn(Running {
@@ -613,6 +652,43 @@ mod tests {
             roof.observe(5, 75, 1),
             ["roof: turns at 600 rpm again, as it is set to"]
         );
+        assert_eq!(roof.watcher.complaint(), None);
+    }
+
+    #[test]
+    fn other_settings_than_wanted_are_a_warning_and_logged_once() {
+        let mut roof = Watched::new(None);
+        roof.watcher.expect(Settings {
+            returns: Some(Returns(ReturnMode::Strongest)),
+            fov: Some(FieldOfView::WHOLE),
+            ..Settings::default()
+        });
+        assert_eq!(roof.observe(5, 75, 1).len(), 1);
+        roof.turn(Running {
+            fov: "270-90".parse().ok(),
+            ..RUNNING
+        });
+        let unlike = "measures from 270-90 degrees, wanted is 0-359";
+        assert_eq!(roof.observe(5, 75, 1), [format!("roof: {unlike}")]);
+        roof.turn(Running {
+            fov: "270-91".parse().ok(),
+            ..RUNNING
+        });
+        let no_news: [&str; 0] = [];
+        assert_eq!(roof.observe(1, 75, 1), no_news);
+        roof.turn(Running {
+            fov: "270-90".parse().ok(),
+            ..RUNNING
+        });
+        assert_eq!(roof.observe(1, 75, 1), no_news);
+        let is = roof.watcher.condition();
+        assert_eq!((is.state, is.is_fault), (State::Streaming, false));
+        assert_eq!(
+            is.complaint,
+            Some(format!("{unlike}: change one of the two"))
+        );
+        roof.turn(RUNNING);
+        assert_eq!(roof.observe(5, 75, 1), ["roof: is set as wanted again"]);
         assert_eq!(roof.watcher.complaint(), None);
     }
 
@@ -641,7 +717,7 @@ mod tests {
 
     #[test]
     fn losses_are_a_state_beside_streaming() {
-        let mut roof = Watched::new(Some(600.0));
+        let mut roof = Watched::new(Some(600));
         lose(&mut roof, 10, 0);
         assert_eq!(roof.watcher.state(), State::Streaming);
         let told = lose(&mut roof, 10, 5);
@@ -697,7 +773,7 @@ mod tests {
 
     #[test]
     fn a_beam_that_is_dark_for_long_is_a_warning_and_logged_once() {
-        let mut roof = Watched::new(Some(600.0));
+        let mut roof = Watched::new(Some(600));
         roof.observe(5, 75, 1);
         let dark = |channel: u32, turns| DarkBeam {
             row: channel + 1,
@@ -736,7 +812,7 @@ mod tests {
             (told.is_warning, &told.text[..]),
             (
                 false,
-                "roof: the beams that had not returned do again, or are counted anew"
+                "roof: the beams that had not returned return again, or their counts were reset"
             )
         );
         assert_eq!(roof.watcher.observe_beams(Vec::new()), None);

@@ -1,7 +1,8 @@
 //! What the daemon's unit tests share.
 
-use super::config::{Config, DaemonConfig, PortConfig, SensorConfig};
+use super::config::{Config, DaemonConfig, ObjectsConfig, PortConfig, SensorConfig};
 use super::losses::Limits;
+use crate::sensor_settings::Settings;
 use sweepd_core::pipeline;
 
 /// A sensor at an address whose data and position packets come to one port of the loopback
@@ -21,8 +22,9 @@ pub fn sensor(name: &str, address: &str, port: u16) -> SensorConfig {
         },
         position_port: port,
         max_consumers: 4,
+        objects: ObjectsConfig::default(),
         dual: None,
-        rpm: None,
+        want: Settings::default(),
         losses: Limits::default(),
         pipeline: pipeline::Config::default(),
     }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use serde_json::Value;
 
-use super::http::{get_json, runtime};
+use crate::web_interface::{get_json, runtime};
 
 const PATIENCE: Duration = Duration::from_secs(2);
 

@@ -8,6 +8,7 @@ use super::plan::Plan;
 use crate::admission::{DiscoveredSensors, Refusal, Route};
 use crate::capture::{UdpConfig, UdpError, UdpSource};
 use crate::cure::{Dialect, explain};
+use crate::sensor_settings::FieldOfView;
 use sweepd_core::pipeline::{Config, Notice, Pipeline};
 use sweepd_core::segment::ConfigError;
 use sweepd_core::sweep::layout::{TimeSource, flags};
@@ -224,6 +225,8 @@ impl DecodedSensor {
             let (least, most) = observed.rpm.unwrap_or((header.rpm, header.rpm));
             observed.rpm = Some((least.min(header.rpm), most.max(header.rpm)));
             observed.whole_sweeps += 1;
+            let limits_deg = self.pipeline.field_of_view_deg();
+            observed.fov = FieldOfView::measured(header.flags, limits_deg).or(observed.fov);
         }
     }
 

@@ -4,7 +4,7 @@
 //! plan      what should be there: ports and sensors, from a configuration or from options
 //! listen    what comes: a few seconds of every port, through the same admission and pipelines as the daemon's
 //! host      this host: interfaces, buffers, shared memory, permissions
-//! web       what a sensor says of its own settings, read only
+//! web       what sensors say of their own settings, read only
 //! health    what a daemon says that holds a port
 //!               all of it Observations
 //! diagnose  Observations -> findings, worst first; pure
@@ -13,7 +13,6 @@
 pub mod diagnose;
 pub mod health;
 pub mod host;
-mod http;
 pub mod listen;
 pub mod observe;
 pub mod plan;
@@ -74,6 +73,8 @@ pub enum Topic {
     View,
     /// Which returns are sent.
     Returns,
+    /// Settings that are not as the configuration wants them.
+    Settings,
     /// GPS, the pulse per second, and clocks.
     Clock,
     /// The calibration of an HDL-64E.

@@ -7,6 +7,8 @@ use serde_json::Value;
 
 use super::plan::{ExaminedPort, ExpectedSensor, Plan};
 use crate::capture::udp::ReceiveBuffer;
+use crate::sensor_settings::FieldOfView;
+use crate::web_interface::Page;
 use sweepd_core::pipeline::{Counts, DarkBeam};
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::data::ReturnMode;
@@ -128,6 +130,8 @@ pub struct ObservedSensor {
     pub whole_sweeps: u64,
     /// Least and greatest speed of these, turns a minute.
     pub rpm: Option<(f32, f32)>,
+    /// What it measures of a turn, as far as the last sweep shows it.
+    pub fov: Option<FieldOfView>,
     /// Bits of [`flags`](sweepd_core::sweep::layout::flags) that any sweep but the first had.
     pub flags: u32,
     /// Beams that are dark at the end.
@@ -149,6 +153,7 @@ impl ObservedSensor {
             awaits_calibration: false,
             whole_sweeps: 0,
             rpm: None,
+            fov: None,
             flags: 0,
             dark_beams: Vec::new(),
             host_ahead_s: None,
@@ -259,45 +264,11 @@ impl Interface {
     }
 }
 
-/// What a sensor says of its settings.
+/// What a sensor says of itself.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Web {
     /// Its address.
     pub address: Ipv4Addr,
-    /// The speed it is set to, turns a minute.
-    pub rpm: Option<f64>,
-    /// The speed it turns at, turns a minute.
-    pub measured_rpm: Option<f64>,
-    /// `Strongest`, `Last` or `Dual`.
-    pub returns: Option<String>,
-    /// First and last azimuth that is measured, degrees.
-    pub view_deg: Option<(f64, f64)>,
-    /// Where it sends its packets to.
-    pub destination: Option<Ipv4Addr>,
-    /// The port it sends data to.
-    pub data_port: Option<u16>,
-    /// The port it sends position packets to.
-    pub position_port: Option<u16>,
-    /// Whether its lasers are on.
-    pub lasers_on: Option<bool>,
-    /// State of the pulse per second.
-    pub pps: Option<String>,
-}
-
-impl Web {
-    /// A page of which nothing is known.
-    pub fn unknown(address: Ipv4Addr) -> Self {
-        Self {
-            address,
-            rpm: None,
-            measured_rpm: None,
-            returns: None,
-            view_deg: None,
-            destination: None,
-            data_port: None,
-            position_port: None,
-            lasers_on: None,
-            pps: None,
-        }
-    }
+    /// What it says.
+    pub page: Page,
 }

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use crate::capture::UdpConfig;
 use crate::capture::udp::ample_buffer_bytes;
 use crate::daemon::config::{Config, PortConfig, SensorConfig};
+use crate::sensor_settings::Settings;
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::{DATA_PORT, POSITION_PORT};
 
@@ -53,8 +54,8 @@ pub struct ExpectedSensor {
     pub port: u16,
     /// Its model, if that was set.
     pub model: Option<Model>,
-    /// The speed it is set to, turns a minute, if that was said.
-    pub rpm: Option<f32>,
+    /// What it should be set to.
+    pub want: Settings,
     /// Whether it may send two returns, if that was said.
     pub dual: Option<bool>,
     /// Consumers at most.
@@ -71,7 +72,7 @@ impl ExpectedSensor {
             source_port: sensor.source_port,
             port: sensor.port.port,
             model: sensor.pipeline.model,
-            rpm: sensor.rpm,
+            want: sensor.want.clone(),
             dual: sensor.dual,
             max_consumers: sensor.max_consumers,
             min_points: sensor.pipeline.segment.min_points as usize,

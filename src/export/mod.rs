@@ -5,6 +5,7 @@
 //! * [`segments`]: the table of segments, a line each.
 //! * [`mcap`]: the messages of ROS 2, for Foxglove and `ros2 bag`.
 //! * [`png`]: one picture of the measurements and their segmentation.
+//! * [`raw`]: the sweep itself, for programs.
 //!
 //! The writers take a [`SweepRef`] and any [`Write`]. [`Format::encode`] makes a whole file in memory,
 //! on any thread; an [`Exporter`] puts such files into a directory, in their order.
@@ -13,6 +14,7 @@ pub mod csv;
 pub mod mcap;
 pub mod pcd;
 pub mod png;
+pub mod raw;
 pub mod segments;
 #[cfg(test)]
 mod test_scene;
@@ -30,6 +32,7 @@ pub use crate::files::output::{Existing, WriteError};
 pub use csv::write_csv;
 pub use pcd::write_pcd;
 pub use png::{Title, write_png};
+pub use raw::trimmed;
 pub use segments::write_segments;
 
 /// Axes in which points are written.

@@ -11,22 +11,20 @@
 //! socket must be asked for by the page itself. Connections, their time and their bytes are limited.
 
 use std::convert::Infallible;
-use std::net::{IpAddr, SocketAddr};
+use std::net::SocketAddr;
 use std::sync::Arc;
-use std::time::Duration;
 
 use http_body_util::Full;
 use hyper::body::{Bytes, Incoming};
 use hyper::header::{
-    ALLOW, CACHE_CONTROL, CONNECTION, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HOST, HeaderMap,
-    HeaderName, HeaderValue, ORIGIN, REFERRER_POLICY, SEC_WEBSOCKET_ACCEPT, SEC_WEBSOCKET_KEY,
-    SEC_WEBSOCKET_VERSION, UPGRADE, X_CONTENT_TYPE_OPTIONS,
+    CONNECTION, CONTENT_SECURITY_POLICY, HOST, HeaderMap, HeaderName, HeaderValue, ORIGIN,
+    REFERRER_POLICY, SEC_WEBSOCKET_ACCEPT, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET_VERSION, UPGRADE,
+    X_CONTENT_TYPE_OPTIONS,
 };
 use hyper::http::uri::Authority;
-use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper::{Method, Request, Response, StatusCode};
-use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::rt::TokioIo;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::timeout;
@@ -34,15 +32,12 @@ use tokio_tungstenite::tungstenite::handshake::derive_accept_key;
 
 use super::stage::Hall;
 use super::{page, socket};
+use crate::http::{self, PATIENCE, ip_of, is_localhost, response, text};
 
-/// Most connections at a time; more are closed at once.
+/// Most connections at a time.
 const CONNECTIONS: usize = 64;
-/// Most pages that look at a time.
+/// Most pages that are open at a time.
 const PAGES: usize = 8;
-/// Time limit of a request and its answer.
-const PATIENCE: Duration = Duration::from_secs(5);
-/// Most bytes of a request; the least limit that hyper accepts.
-const REQUEST_BYTES: usize = 8192;
 
 /// A server.
 pub(super) struct Server {
@@ -64,18 +59,8 @@ impl Server {
 
     /// Answers for ever.
     pub(super) async fn serve(self: Arc<Self>) -> Infallible {
-        let places = Arc::new(Semaphore::new(CONNECTIONS));
-        loop {
-            let Ok((stream, _)) = self.listener.accept().await else {
-                // Most likely there are no free file descriptors: retry later.
-                tokio::time::sleep(Duration::from_millis(100)).await;
-                continue;
-            };
-            let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
-                continue;
-            };
-            tokio::spawn(Arc::clone(&self).converse(stream, place));
-        }
+        let converse = |stream, place| Arc::clone(&self).converse(stream, place);
+        http::accept(&self.listener, CONNECTIONS, converse).await
     }
 
     async fn converse(self: Arc<Self>, stream: TcpStream, place: OwnedSemaphorePermit) {
@@ -86,11 +71,7 @@ impl Server {
             let response = self.answer(request, &place);
             async move { Ok::<_, Infallible>(response) }
         });
-        let mut http = http1::Builder::new();
-        http.timer(TokioTimer::new())
-            .header_read_timeout(PATIENCE)
-            .max_buf_size(REQUEST_BYTES);
-        let conversation = http
+        let conversation = http::connection()
             .serve_connection(TokioIo::new(stream), service)
             .with_upgrades();
         // An error means that the client closed the connection. A socket goes on in its own task.
@@ -103,10 +84,14 @@ impl Server {
         place: &Arc<OwnedSemaphorePermit>,
     ) -> Response<Full<Bytes>> {
         let Some(host) = self.host(&request) else {
-            let address = self.address;
-            let refused = format!(
-                "only requests to the address that is listened on are answered: open http://{address}/"
-            );
+            let refused = match self.address.ip().is_unspecified() {
+                true => "only requests to an IP address of this host or to localhost are answered"
+                    .to_owned(),
+                false => format!(
+                    "only requests to the address that is listened on are answered: open http://{}/",
+                    self.address
+                ),
+            };
             let mut refused = text(StatusCode::FORBIDDEN, &refused);
             secure(refused.headers_mut(), "127.0.0.1");
             return refused;
@@ -122,11 +107,7 @@ impl Server {
         host: &str,
         place: &Arc<OwnedSemaphorePermit>,
     ) -> Response<Full<Bytes>> {
-        if !matches!(*request.method(), Method::GET | Method::HEAD) {
-            let mut refused = text(StatusCode::METHOD_NOT_ALLOWED, "only GET and HEAD");
-            refused
-                .headers_mut()
-                .insert(ALLOW, HeaderValue::from_static("GET, HEAD"));
+        if let Some(refused) = http::refused_method(&request) {
             return refused;
         }
         if request.uri().path() == "/socket" {
@@ -138,11 +119,7 @@ impl Server {
                 "there is nothing here; the page is at /",
             );
         };
-        let mut response = Response::new(Full::new(file.bytes()));
-        response
-            .headers_mut()
-            .insert(CONTENT_TYPE, HeaderValue::from_static(file.kind));
-        response
+        response(StatusCode::OK, file.kind, file.bytes())
     }
 
     /// The host that a request names, if it is this server.
@@ -184,7 +161,7 @@ impl Server {
         };
         let accept = HeaderValue::try_from(derive_accept_key(key.as_bytes()));
         let (Ok(page), Ok(accept)) = (Arc::clone(&self.pages).try_acquire_owned(), accept) else {
-            let full = format!("{PAGES} pages look already, and no more may: close one");
+            let full = format!("{PAGES} pages are open, and no more may be: close one");
             return text(StatusCode::SERVICE_UNAVAILABLE, &full);
         };
         let hall = self.hall.clone();
@@ -206,23 +183,19 @@ impl Server {
     }
 }
 
-/// Whether a host is what is listened on, or `localhost` with that port. Where any address of this
-/// host is listened on, an IP address with that port: only names can be redirected.
+/// Whether a host is the address that is listened on, or `localhost`; where any address of this host
+/// is listened on, any IP address: only names can be redirected. The port is that of a tunnel, where
+/// there is one.
 fn is_own(host: &str, address: SocketAddr) -> bool {
     let Ok(authority) = Authority::try_from(host) else {
         return false;
     };
-    if authority.port_u16().unwrap_or(80) != address.port() || host.contains('@') {
+    if host.contains('@') {
         return false;
     }
-    let name = authority.host();
-    let ip = name
-        .strip_prefix('[')
-        .and_then(|name| name.strip_suffix(']'))
-        .unwrap_or(name);
-    match ip.parse::<IpAddr>() {
-        Ok(ip) => ip == address.ip() || address.ip().is_unspecified(),
-        Err(_) => name.eq_ignore_ascii_case("localhost"),
+    match ip_of(&authority) {
+        Some(ip) => ip == address.ip() || address.ip().is_unspecified(),
+        None => is_localhost(&authority),
     }
 }
 
@@ -256,7 +229,7 @@ fn has_word(headers: &HeaderMap, name: &HeaderName, word: &str) -> bool {
 /// What the page may do: only what its own files say, with this server alone.
 fn secure(headers: &mut HeaderMap, host: &str) {
     let policy = format!(
-        "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self' ws://{host}; img-src 'self' blob:; \
+        "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self' ws://{host}; img-src 'self'; \
          base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     );
     if let Ok(policy) = HeaderValue::try_from(policy) {
@@ -264,21 +237,10 @@ fn secure(headers: &mut HeaderMap, host: &str) {
     }
     headers.insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
     headers.insert(REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
-    headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
     // A connection is for one request.
     if !headers.contains_key(UPGRADE) {
         headers.insert(CONNECTION, HeaderValue::from_static("close"));
     }
-}
-
-fn text(status: StatusCode, text: &str) -> Response<Full<Bytes>> {
-    let mut response = Response::new(Full::new(Bytes::from(format!("{text}\n"))));
-    *response.status_mut() = status;
-    response.headers_mut().insert(
-        CONTENT_TYPE,
-        HeaderValue::from_static("text/plain; charset=utf-8"),
-    );
-    response
 }
 
 #[cfg(test)]
@@ -288,13 +250,17 @@ mod tests {
     #[test]
     fn a_host_is_what_is_listened_on_or_localhost() {
         let loopback = "127.0.0.1:9178".parse().unwrap();
-        for host in ["127.0.0.1:9178", "localhost:9178", "LocalHost:9178"] {
+        for host in [
+            "127.0.0.1:9178",
+            "localhost:9178",
+            "LocalHost:9178",
+            "localhost:8080",
+            "localhost",
+        ] {
             assert!(is_own(host, loopback), "{host}");
         }
         for host in [
-            "127.0.0.1",
-            "127.0.0.1:9179",
-            "localhost",
+            "127.0.0.2:9178",
             "10.0.0.7:9178",
             "evil.example:9178",
             "localhost.evil.example:9178",

@@ -13,7 +13,7 @@ use hyper_util::rt::TokioIo;
 use serde::Deserialize;
 use serde_json::{Value, json};
 use sweepd_core::segment::Config;
-use sweepd_core::sweep::{Header, SweepRef};
+use sweepd_core::sweep::SweepRef;
 use tokio::task::{JoinHandle, spawn_blocking};
 use tokio::time::{MissedTickBehavior, interval, timeout};
 use tokio_tungstenite::WebSocketStream;
@@ -195,6 +195,11 @@ impl Page {
         self.say("refused", json!({ "text": why })).await
     }
 
+    async fn refuse_tuning(&mut self, why: &str) -> Result<(), Gone> {
+        self.say("refused", json!({ "text": why, "of": "tuning" }))
+            .await
+    }
+
     async fn describe(&mut self) -> Result<(), Gone> {
         let description = self.hall.description.borrow_and_update().clone();
         let mut message = json!(description);
@@ -212,7 +217,11 @@ impl Page {
     /// Sends the newest sweep.
     async fn show(&mut self) -> Result<(), Gone> {
         let Some(frame) = self.hall.frame.borrow_and_update().clone() else {
-            return Ok(());
+            self.untuned = false;
+            return match self.last.take() {
+                Some(_) => self.say("empty", json!({})).await,
+                None => Ok(()),
+            };
         };
         if let Some(last) = &self.last {
             self.missed += frame.ordinal.saturating_sub(last.ordinal.saturating_add(1));
@@ -234,7 +243,6 @@ impl Page {
             "sequence": sweep.header.sequence,
             "missed": self.missed,
             "tuned": is_tuned,
-            "stages_us": stages_us(sweep.header),
         });
         self.say("sweep", message).await?;
         self.send(Message::Binary(bytes.clone())).await
@@ -249,7 +257,7 @@ impl Page {
                 self.begin_tuning();
                 Ok(())
             }
-            Err(why) => self.refuse(&why).await,
+            Err(why) => self.refuse_tuning(&why).await,
         }
     }
 
@@ -290,7 +298,7 @@ impl Page {
             (Tuning::Busy(frame, _), Ok(bytes)) if is_wanted => {
                 self.sweep(&frame, &bytes, true).await
             }
-            (_, Err(why)) => self.refuse(&why).await,
+            (_, Err(why)) => self.refuse_tuning(&why).await,
             _ => Ok(()),
         }
     }
@@ -302,12 +310,4 @@ impl Page {
         };
         self.say("configuration", json!({ "text": text })).await
     }
-}
-
-/// How long the stages took, microseconds; `None` where there was no clock.
-fn stages_us(header: &Header) -> Option<Value> {
-    let [decode, ground, label] =
-        [header.decode_ns, header.ground_ns, header.label_ns].map(|ns| f64::from(ns) / 1000.0);
-    (decode + ground + label > 0.0)
-        .then(|| json!({ "decode": decode, "ground": ground, "label": label }))
 }

@@ -12,11 +12,15 @@ use hyper::body::Bytes;
 use serde::Serialize;
 use sweepd_core::segment;
 use sweepd_core::sweep::buffers::HeapBuffer;
-use sweepd_core::sweep::{Buffers, SweepRef};
+use sweepd_core::sweep::layout::LayoutError;
+use sweepd_core::sweep::{Buffers, HeapBuffers, SweepRef};
 use tokio::sync::watch;
 
 /// Commands that wait at most; more are refused.
 const COMMANDS: usize = 64;
+
+/// Buffers are as long as a multiple of this many bytes.
+const BUFFER_STEP: usize = 1 << 18;
 
 /// The kind of a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -38,6 +42,8 @@ pub(super) struct Description {
     pub name: String,
     /// Sensors that can be chosen.
     pub sensors: Vec<String>,
+    /// The one that is shown, if it is known.
+    pub chosen: Option<String>,
     /// Sweeps known so far; `None` for a sensor.
     pub sweeps: Option<u64>,
     /// Moments worth a look.
@@ -52,7 +58,7 @@ pub(super) struct Description {
 pub(super) struct Mark {
     /// Number of the sweep.
     pub sweep: u64,
-    /// `loss`, `gap` or `restart`.
+    /// `loss`, `gap`, `stop` or `restart`.
     pub what: &'static str,
     pub text: String,
 }
@@ -64,7 +70,7 @@ pub(super) struct State {
     pub ok: bool,
     pub playing: bool,
     pub speed: f64,
-    /// Short texts by name.
+    /// What is counted since the view began, and the like: short texts by name.
     pub facts: BTreeMap<&'static str, String>,
 }
 
@@ -98,8 +104,6 @@ pub(super) struct Hall {
     pub state: watch::Receiver<State>,
     pub frame: watch::Receiver<Option<Arc<Frame>>>,
     pub commands: SyncSender<Command>,
-    /// Each browser that looks holds one.
-    _looking: Arc<()>,
 }
 
 /// The side of the source.
@@ -108,7 +112,6 @@ pub(super) struct Stage {
     state: watch::Sender<State>,
     frame: watch::Sender<Option<Arc<Frame>>>,
     pub(super) commands: Receiver<Command>,
-    looking: Arc<()>,
     over: Arc<AtomicBool>,
     ordinal: u64,
 }
@@ -123,13 +126,11 @@ pub(super) fn stage(
     let (state, of_state) = watch::channel(state);
     let (frame, of_frame) = watch::channel(None);
     let (commands, for_commands) = sync_channel(COMMANDS);
-    let looking = Arc::new(());
     let stage = Stage {
         description,
         state,
         frame,
         commands: for_commands,
-        looking: Arc::clone(&looking),
         over,
         ordinal: 0,
     };
@@ -138,7 +139,6 @@ pub(super) fn stage(
         state: of_state,
         frame: of_frame,
         commands,
-        _looking: looking,
     };
     (stage, hall)
 }
@@ -153,9 +153,9 @@ impl Stage {
         self.description.clone()
     }
 
-    /// Whether any browser looks. (The stage and the hall of the server count too.)
+    /// Whether any page is open: each has a hall, and so has the server.
     pub(super) fn is_watched(&self) -> bool {
-        Arc::strong_count(&self.looking) > 2
+        self.frame.receiver_count() > 1
     }
 
     /// Changes the description; browsers hear of it if it is another one.
@@ -202,17 +202,26 @@ pub(super) fn describe(to: &watch::Sender<Description>, change: impl FnOnce(&mut
     });
 }
 
+/// A copy of a sweep without the room that it leaves unused, but with room for this many segments.
+///
+/// # Errors
+/// [`LayoutError`]: it has more segments.
+pub(super) fn packed(
+    buffers: &mut HeapBuffers,
+    sweep: &SweepRef<'_>,
+    segments: usize,
+) -> Result<HeapBuffer, LayoutError> {
+    let shape = sweep.packed_shape(segments);
+    // Sweeps differ a little in size, and their buffers are used again.
+    let mut buffer = buffers.take(shape.total_bytes().next_multiple_of(BUFFER_STEP));
+    sweep.pack(&shape, buffer.as_mut())?;
+    Ok(buffer)
+}
+
 /// The bytes of a sweep in a buffer that may be longer; `None` if they are no sweep.
 pub(super) fn sweep_bytes(buffer: HeapBuffer) -> Option<Bytes> {
     let header = SweepRef::open(buffer.as_ref()).ok()?.header;
     let total = usize::try_from(header.total_bytes).ok()?;
     let bytes = Bytes::from_owner(buffer);
     (total <= bytes.len()).then(|| bytes.slice(..total))
-}
-
-/// A copy in memory of these buffers.
-pub(super) fn copied(buffers: &mut impl Buffers<Buffer = HeapBuffer>, bytes: &[u8]) -> HeapBuffer {
-    let mut buffer = buffers.take(bytes.len());
-    buffer.as_mut()[..bytes.len()].copy_from_slice(bytes);
-    buffer
 }

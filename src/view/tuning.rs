@@ -6,14 +6,14 @@ use hyper::body::Bytes;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use super::stage::sweep_bytes;
+use super::stage::{packed, sweep_bytes};
 use sweepd_client::host::monotonic_ns;
 use sweepd_core::pipeline::TimedSegmenter;
 use sweepd_core::segment::settings::{Table, Unit};
 use sweepd_core::segment::{Config, MAX_ROWS, Method, SETTINGS, Segmenter, Setting};
-use sweepd_core::sweep::layout::Part;
-use sweepd_core::sweep::{Buffers, Header, HeapBuffers, SweepMut, SweepRef};
-use zerocopy::FromBytes;
+use sweepd_core::sweep::buffers::HeapBuffer;
+use sweepd_core::sweep::layout::LayoutError;
+use sweepd_core::sweep::{HeapBuffers, SweepMut, SweepRef};
 
 /// Methods by name, the default first.
 const METHODS: [(&str, Method); 2] = [("slope", Method::Slope), ("paper", Method::Paper)];
@@ -134,7 +134,9 @@ impl Tuner {
     /// # Errors
     /// Why it cannot be, for people.
     pub(super) fn segment(&mut self, bytes: &[u8], config: &Config) -> Result<Bytes, String> {
-        let mut buffer = self.copy(bytes, config.min_points)?;
+        let mut buffer = self
+            .copy(bytes, config.min_points)
+            .map_err(|error| error.to_string())?;
         let mut sweep = SweepMut::open(buffer.as_mut()).map_err(|error| error.to_string())?;
         // What was spent on the sweep itself.
         sweep.header.ground_ns = 0;
@@ -169,31 +171,15 @@ impl Tuner {
         Ok(segmenter)
     }
 
-    /// A copy with room for all segments that there can be of this many points: the table is the
-    /// last part of a sweep.
-    fn copy(
-        &mut self,
-        bytes: &[u8],
-        min_points: u32,
-    ) -> Result<sweepd_core::sweep::buffers::HeapBuffer, String> {
-        let header = *SweepRef::open(bytes)
-            .map_err(|error| error.to_string())?
-            .header;
-        let mut shape = header.shape();
-        let pixels = shape.rows * header.columns as usize;
-        shape.segments_capacity = pixels / (min_points as usize).max(1) + 1;
-        let (offsets, total_bytes) = shape.offsets();
-        let mut buffer = self.buffers.take(total_bytes);
-        let copy = buffer.as_mut();
-        let table = offsets[Part::Segments as usize] as usize;
-        let (Some(from), Some(to)) = (bytes.get(..table), copy.get_mut(..table)) else {
-            return Err("the sweep cannot be read".to_owned());
+    /// A copy with room for all segments that there can be of this many points.
+    fn copy(&mut self, bytes: &[u8], min_points: u32) -> Result<HeapBuffer, LayoutError> {
+        let sweep = SweepRef::open(bytes)?;
+        let segments = sweep.range.len() / (min_points as usize).max(1) + 1;
+        // Those that it has are left out: there may be more.
+        let untold = SweepRef {
+            segments: &[],
+            ..sweep
         };
-        to.copy_from_slice(from);
-        let (copied, _) = Header::mut_from_prefix(copy).map_err(|error| error.to_string())?;
-        copied.segments = 0;
-        copied.segments_capacity = shape.segments_capacity as u32;
-        (copied.offsets, copied.total_bytes) = (offsets, total_bytes as u64);
-        Ok(buffer)
+        packed(&mut self.buffers, &untold, segments)
     }
 }

@@ -1,5 +1,13 @@
 //! What comes out of a replay: JSON, tables, files.
 
+use sweepd::admission::DiscoveredSensors;
+use sweepd::capture::Capture;
+use sweepd::pipeline::{Config, Pipeline};
+use sweepd::sweep::layout::flags;
+use sweepd::sweep::{Buffers, Header, HeapBuffers, Memory, SweepRef};
+use zerocopy::{FromBytes, IntoBytes};
+
+use crate::common::same::same;
 use crate::{Folder, fixture, made, replay, sweepd, sweeps};
 
 const KEYS: [&str; 16] = [
@@ -67,6 +75,69 @@ fn a_sweep_in_json_has_exactly_its_keys() {
         (&1.into(), &false.into(), &16.into())
     );
     assert_eq!(sweep["time_source"], "gps");
+}
+
+#[test]
+fn raw_has_every_sweep_in_its_bytes() {
+    let folder = Folder::new("raw");
+    let capture = fixture("street_vlp16_dual.pcap.gz");
+    let mut files = Vec::new();
+    for jobs in ["1", "3"] {
+        let path = folder.path(jobs);
+        let stdout = replay(
+            &capture,
+            &[
+                "--raw",
+                path.to_str().unwrap(),
+                "--jobs",
+                jobs,
+                "--no-timing",
+            ],
+        );
+        assert!(stdout.done().contains("sweeps"));
+        files.push(std::fs::read(path).unwrap());
+    }
+    assert!(files[0] == files[1], "the same with any number of jobs");
+    // Those of the library, without the room that it leaves.
+    let mut pipeline = Pipeline::new("192.168.1.201:2368", Config::default()).unwrap();
+    let mut memory = Memory::new(HeapBuffers::default());
+    let mut sensors = DiscoveredSensors::new(Vec::new());
+    let mut datagrams = Capture::open(&capture).unwrap();
+    let mut aligned = HeapBuffers::default().take(files[0].len());
+    aligned.as_mut()[..files[0].len()].copy_from_slice(&files[0]);
+    let mut rest: &[u8] = &aligned.as_ref()[..files[0].len()];
+    while let Some(datagram) = datagrams.next_datagram().unwrap() {
+        if let Ok((_, packet)) = sensors.admit(&datagram) {
+            pipeline.push(&packet).unwrap();
+        }
+        while let Some(sweep) = pipeline.poll(&mut memory) {
+            let made = SweepRef::open(sweep.as_ref()).unwrap();
+            if made.header.has(flags::PARTIAL) {
+                continue;
+            }
+            let read = SweepRef::open(rest).unwrap();
+            assert_eq!(read.header.sensor(), "192.168.1.201:2368");
+            assert_eq!(read.header.sequence, made.header.sequence);
+            let [read, made] = [read, made].map(|sweep| same_but_for_the_room(&sweep));
+            assert!(read == made);
+            let (header, _) = Header::read_from_prefix(rest).unwrap();
+            rest = &rest[header.total_bytes as usize..];
+        }
+    }
+    assert!(rest.is_empty());
+    for others in [&["--json"][..], &["--segments=-"]] {
+        let ran = replay(&capture, &[&["--raw=-"], others].concat());
+        ran.says(&["both write to standard output", "a file"]);
+    }
+}
+
+fn same_but_for_the_room(sweep: &SweepRef<'_>) -> Vec<u8> {
+    let mut header = sweep.header.without_host();
+    (header.offsets, header.total_bytes) = ([0; 10], 0);
+    (header.columns_capacity, header.segments_capacity) = (0, 0);
+    header.margin_columns = 0;
+    let rest = same(sweep);
+    [header.as_bytes(), &rest[size_of::<Header>()..]].concat()
 }
 
 /// The simulated one has a receiver with a fix and, as a real one, no byte for the pulse.

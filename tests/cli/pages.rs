@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use clap::CommandFactory;
 use sweepd::cli::Cli;
@@ -50,6 +51,18 @@ fn the_commands_page_is_what_help_says() {
         written == page,
         "docs/commands.md differs from --help: SWEEPD_WRITE_PAGES=1 cargo test --test cli commands_page"
     );
+}
+
+#[test]
+fn bash_completes_a_subcommand_and_its_options() {
+    let script = r#"source <("$0" completions bash)
+        COMP_WORDS=(sweepd rep) COMP_CWORD=1; _sweepd sweepd rep sweepd; echo "${COMPREPLY[@]}"
+        COMP_WORDS=(sweepd replay --pn) COMP_CWORD=2; _sweepd sweepd --pn replay; echo "${COMPREPLY[@]}""#;
+    let mut bash = Command::new("bash");
+    let output = bash.args(["-ec", script, env!("CARGO_BIN_EXE_sweepd")]);
+    let output = output.output().unwrap();
+    let completed = String::from_utf8_lossy(&output.stdout);
+    assert_eq!(completed, "replay\n--png\n", "{output:?}");
 }
 
 /// The pages that people read: those of the root, of docs, and of other folders.

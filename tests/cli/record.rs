@@ -479,7 +479,7 @@ fn what_was_recorded_is_on_the_disk_before_the_end() {
     };
     let found = (0..100).find_map(|_| {
         std::thread::sleep(Duration::from_millis(100));
-        readable().filter(|&count| count > 0)
+        readable().filter(|&count| count == 20)
     });
     recorder.child.kill().unwrap();
     recorder.child.wait().unwrap();
@@ -670,7 +670,7 @@ fn a_recording_of_sweeps_waits_for_the_daemon() {
     let (file, root) = (folder.path("roof.mcap"), folder.path("root"));
     let (file, root) = (file.to_str().unwrap(), root.to_str().unwrap());
     let args = ["record", "--from", "roof", "--mcap", file, "--root", root];
-    let ran = sweepd(&[&args[..], &["--seconds", "2.5"]].concat());
+    let ran = sweepd(&[&args[..], &["--seconds", "3.5"]].concat());
     assert_eq!(ran.code, 0, "{}", ran.stderr);
     assert!(
         ran.stderr.contains("not shared: is the daemon running") && ran.stdout.contains("0 sweeps"),

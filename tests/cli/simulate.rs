@@ -437,6 +437,53 @@ fn motor_and_mode_follow_the_options() {
     }
 }
 
+/// The wall ahead in the room comes nearer, and is seen more and more askew.
+#[test]
+fn a_sensor_moves_and_turns_as_told() {
+    let folder = Folder::new("moving");
+    let [capture, truth] = ["moving.pcap", "truth"].map(|name| folder.path(name));
+    simulate(&[
+        "--model=vlp16",
+        "--scene=room",
+        "--seconds=0.35",
+        "--velocity=0.5,3",
+        "--turn-rate=20",
+        "--pcap",
+        capture.to_str().unwrap(),
+        "--truth",
+        truth.to_str().unwrap(),
+    ]);
+    let text = std::fs::read_to_string(truth.join("truth.csv")).unwrap();
+    let mut seen = Vec::new();
+    for line in text.lines().skip(1) {
+        let fields: Vec<&str> = line.split(',').collect();
+        let number = |at: usize| fields[at].parse::<f64>().unwrap();
+        let azimuth_deg = (number(6) + 180.0).rem_euclid(360.0) - 180.0;
+        // The beam that is next to level.
+        if number(2) % 16.0 == 1.0 && azimuth_deg.abs() < 0.2 {
+            let seconds = fields[7].parse::<i64>().unwrap() - 1_777_889_843_000_000_000;
+            assert_eq!(fields[4], "building", "{line}");
+            seen.push((seconds as f64 * 1e-9, azimuth_deg, number(5)));
+        }
+    }
+    assert!(seen.len() >= 6, "{seen:?}");
+    for (seconds, azimuth_deg, range_m) in &seen {
+        let ahead_m = seen[0].2 - 3.0 * seconds;
+        let expected_m = ahead_m / (20.0 * seconds + azimuth_deg).to_radians().cos();
+        assert!((range_m - expected_m).abs() < 0.001, "{seen:?}");
+    }
+    for velocity in ["3", "0,x", "0,101", "1,2,3"] {
+        let ran = sweepd(&[
+            "simulate",
+            "--model=vlp16",
+            "--velocity",
+            velocity,
+            "--pcap=-",
+        ]);
+        ran.says(&["--velocity", "expected"]);
+    }
+}
+
 /// The data packets of a plain capture that the simulator wrote.
 fn payloads(capture: &Path) -> Vec<Vec<u8>> {
     let bytes = std::fs::read(capture).unwrap();

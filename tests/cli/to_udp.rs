@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::net::UdpSocket;
 use std::time::{Duration, Instant};
 
+use crate::common::free_port;
 use crate::{Folder, Ran, command, fixture, made, replay};
 
 /// For 600 datagrams, each of which the kernel counts with 2.3 kB.
@@ -97,11 +98,7 @@ fn only_what_is_played_is_sent() {
 
 #[test]
 fn a_port_without_a_listener_is_no_error() {
-    let free = UdpSocket::bind("127.0.0.1:0")
-        .unwrap()
-        .local_addr()
-        .unwrap()
-        .to_string();
+    let free = format!("127.0.0.1:{}", free_port());
     let options = ["--to", &free, "--speed", "max", "--no-timing"];
     let alone = replay(&fixture("street_vlp16_losses.pcap"), &["--no-timing"]).done();
     assert_eq!(

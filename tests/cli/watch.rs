@@ -118,7 +118,7 @@ fn several_sensors_are_listed_and_none_are_waited_for() {
                 capture.to_str().unwrap(),
                 "--publish",
                 name,
-                "--loop=20",
+                "--loop=200",
             ],
         )
         .spawn()
@@ -179,7 +179,7 @@ fn another_user_gets_an_error_that_names_the_owner() {
             capture.to_str().unwrap(),
             "--publish",
             "roof",
-            "--loop=20",
+            "--loop=200",
         ],
     )
     .spawn()
@@ -245,7 +245,7 @@ fn ctrl_c_ends_it_well() {
             capture.to_str().unwrap(),
             "--publish",
             "roof",
-            "--loop=20",
+            "--loop=200",
         ],
     )
     .spawn()

@@ -7,11 +7,13 @@ pub mod bags;
 pub mod due;
 pub mod hdl64;
 pub mod npy;
+pub mod objects;
 pub mod raw;
 pub mod run;
 pub mod same;
 pub mod setup;
 pub mod simulated;
+pub mod web_page;
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -66,6 +68,9 @@ pub fn python() -> OsString {
         "velodyne-decoder",
     )
 }
+
+/// The Python package of this tree: the value of `PYTHONPATH`.
+pub const PYTHON_PACKAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/python/src");
 
 /// The same, with the right iceoryx2, and NumPy.
 pub fn python_with_iceoryx2() -> OsString {

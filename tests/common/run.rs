@@ -6,6 +6,7 @@ use std::path::Path;
 use sweepd::admission::{DiscoveredSensors, Refused};
 use sweepd::capture::Capture;
 use sweepd::pipeline::{Config, Counts, Fault, Notice, Pipeline};
+use sweepd::segment::objects::MAX_WIDTH_RAD;
 use sweepd::sensor::detect::Detection;
 use sweepd::sensor::model::Spec;
 use sweepd::sweep::buffers::HeapBuffer;
@@ -13,6 +14,8 @@ use sweepd::sweep::{HeapBuffers, Memory, Return, SweepRef};
 use sweepd::wire::Datagram;
 use sweepd::wire::data::{RECORDS, ReturnMode};
 use sweepd_lab::testkit::stream::push;
+
+use super::objects::{Listener, Tally};
 
 /// Ranges at which the two-point correction of an HDL-64E may end: 25.04 m and the distance offset
 /// of a beam. There a range may be said from the other side alone, some hundredths of a degree
@@ -54,6 +57,7 @@ pub struct Runner {
     pipeline: Pipeline,
     memory: Memory<HeapBuffers>,
     pub sweeps: Vec<HeapBuffer>,
+    listener: Option<Listener>,
 }
 
 impl Runner {
@@ -62,21 +66,47 @@ impl Runner {
             pipeline: Pipeline::new("test", config).unwrap(),
             memory: Memory::default(),
             sweeps: Vec::new(),
+            listener: None,
         }
+    }
+
+    /// The same with a listener, which sees that objects are those of the sweeps.
+    pub fn with_listener(config: Config) -> Self {
+        let mut runner = Self::new(config);
+        runner.pipeline.listen(Some(MAX_WIDTH_RAD));
+        runner.listener = Some(Listener::new("a runner"));
+        runner
     }
 
     pub fn push(&mut self, datagram: &Datagram<'_>) -> Result<(), Fault> {
         let result = push(&mut self.pipeline, datagram);
-        self.sweeps
-            .extend(std::iter::from_fn(|| self.pipeline.poll(&mut self.memory)));
+        self.take_sweeps();
         self.pipeline.segment_early(&mut self.memory);
+        if let Some(listener) = &mut self.listener {
+            listener.early(&mut self.pipeline);
+        }
         result
+    }
+
+    fn take_sweeps(&mut self) {
+        while let Some(buffer) = self.pipeline.poll(&mut self.memory) {
+            if let Some(listener) = &mut self.listener {
+                let sweep = SweepRef::open(buffer.as_ref()).unwrap();
+                listener.with_sweep(&mut self.pipeline, &sweep);
+            }
+            self.sweeps.push(buffer);
+        }
+    }
+
+    /// How much was told to the listener.
+    pub fn tally(&self) -> Tally {
+        let listener = self.listener.as_ref();
+        listener.map(|listener| listener.tally).unwrap_or_default()
     }
 
     pub fn end(&mut self) -> Result<(), Fault> {
         let result = self.pipeline.end();
-        self.sweeps
-            .extend(std::iter::from_fn(|| self.pipeline.poll(&mut self.memory)));
+        self.take_sweeps();
         result
     }
 

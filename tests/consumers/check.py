@@ -1,9 +1,12 @@
-"""Follows a sensor with examples/consumer.py and says what it finds; tests/consumers/python.rs compares it with Rust.
+"""Follows a sensor with the Python package and says what it finds; tests/consumers/python.rs compares it with Rust.
 
     check.py layout                     fields, numbers and prefixes, as JSON
     check.py follow NAME ROOT FOLDER    a JSON line a sweep; its points, azimuths and times as files
-    check.py refuse NAME ROOT           for a line `next`: waits for a sweep, or says why not; `look`: the same without
-                                        waiting; `use`: asks all that can be asked of it
+    check.py objects NAME ROOT          a JSON line a message of objects; all of them are held
+    check.py refuse NAME ROOT [objects] for a line `next`: waits for a sweep, or says why not; `look`: the same without
+                                        waiting; `use`: asks all that can be asked of it; or of a message of objects
+    check.py points_in FILE START_NS X Y W   the points of a sweep in a file, of a robot that moves so since then: metres a
+                                        second, radians a second clockwise
     check.py hold NAME ROOT             holds sweeps and arrays, and says what became of them
 """
 
@@ -13,32 +16,33 @@ import json
 import os
 import sys
 
-sys.path.insert(0, os.path.join(os.path.dirname(__file__), "../../examples"))
 import numpy as np
-
-import consumer
+import sweepd
+from sweepd import _service, layout
 
 
 def say(**what):
     print(json.dumps(what), flush=True)
 
 
-def layout():
+def numbers():
     def fields(dtype):
         found = {}
         for name, (kind, offset, *_) in dtype.fields.items():
             element, count = (kind.subdtype[0], kind.shape[0]) if kind.subdtype else (kind, 1)
-            found[name] = [offset, kind.itemsize, element.kind + str(8 * element.itemsize)]
+            nested = [of for of, dtype in structs.items() if dtype == element]
+            found[name] = [offset, kind.itemsize, nested[0] if nested else element.kind + str(8 * element.itemsize)]
         return found
 
-    structs = {"Header": consumer.HEADER, "Column": consumer.COLUMN, "BeamRow": consumer.BEAM, "Segment": consumer.SEGMENT}
-    names = [name for name in dir(consumer) if name.isupper() and isinstance(getattr(consumer, name), int)]
-    preamble = {name: [getattr(consumer.Preamble, name).offset, getattr(consumer.Preamble, name).size]
-                for name, _ in consumer.Preamble._fields_}
+    structs = {"Header": layout.HEADER, "Column": layout.COLUMN, "BeamRow": layout.BEAM, "Segment": layout.SEGMENT,
+               "ObjectsHeader": layout.OBJECTS_HEADER, "Object": layout.OBJECT}
+    names = [name for name in dir(layout) if name.isupper() and isinstance(getattr(layout, name), int)]
+    preamble = {name: [getattr(layout.Preamble, name).offset, getattr(layout.Preamble, name).size]
+                for name, _ in layout.Preamble._fields_}
     roots = sys.argv[2:]
     say(structs={name: fields(dtype) for name, dtype in structs.items()}, preamble=preamble,
-        numbers={name: getattr(consumer, name) for name in names},
-        prefixes=[consumer.prefix(consumer.absolute(root)) for root in roots])
+        numbers={name: getattr(layout, name) for name in names},
+        prefixes=[_service.prefix(_service.absolute(root)) for root in roots])
 
 
 def mapping(array):
@@ -71,7 +75,7 @@ def make_writeable(array):
 
 
 def follow(name, root, folder):
-    sensor = consumer.Sensor(name, root)
+    sensor = sweepd.Client(name, root)
     say(ready=sensor.next(0.0) is None and sensor.is_connected)
     for line in sys.stdin:
         sweep = sensor.next(float(line))
@@ -82,7 +86,7 @@ def follow(name, root, folder):
             "range", "reflectivity", "label", "range2", "reflectivity2", "label2", "kind", "columns", "beams", "segments")}
         if folder:
             values = {"points": sweep.points(), "azimuth": np.broadcast_to(sweep.azimuth(), sweep.range.shape),
-                      "times": np.broadcast_to(sweep.times(), sweep.range.shape)}
+                      "times": np.broadcast_to(sweep.when(), sweep.range.shape)}
             if sweep.range2 is not None:
                 values["points2"] = sweep.points(other=True)
             for key, value in values.items():
@@ -98,25 +102,50 @@ def follow(name, root, folder):
         sweep = planes = there = None
 
 
-def refuse(name, root):
-    sensor = consumer.Sensor(name, root)
+def objects(name, root):
+    sensor = sweepd.Client(name, root).objects()
+    say(ready=sensor.next(0.0) is None and sensor.is_connected)
+    held = []
     for line in sys.stdin:
+        message = sensor.next(float(line))
+        if message is None:
+            say(message=None)
+            continue
+        held.append(message)
+        arrays = (message.header, message.objects, message.labels)
+        say(message=message.sequence, bytes=b"".join(array.tobytes() for array in arrays).hex(), name=message.name,
+            last=message.is_last, rows=message.is_segment.tolist(), when=message.when().tolist(),
+            boxes=message.boxes("robot").tolist(), own=message.boxes().tolist(), ros=message.boxes("ros").tolist(),
+            read_only=all(refused(lambda: write(array)) and refused(lambda: make_writeable(array))
+                          for array in (message.objects, message.labels) if array.size))
+
+
+def refuse(name, root, *topic):
+    sensor = sweepd.Client(name, root)
+    sensor = sensor.objects() if topic else sensor
+    for line in sys.stdin:
+        if line.strip() == "use" and topic:
+            with np.errstate(all="ignore"):
+                shapes = [sweep.boxes("ros").shape, sweep.when().shape, sweep.is_segment.shape]
+                _ = sweep.name, sweep.sequence, sweep.is_last, sweep.mount
+            say(objects=len(sweep.objects), labels=len(sweep.labels), boxes=shapes[0])
+            continue
         if line.strip() == "use":
             with np.errstate(all="ignore"):
-                shapes = [sweep.points().shape, sweep.azimuth().shape, sweep.times().shape, sweep.firing().shape]
-                _ = sweep.name, sweep.sequence, sweep.has(consumer.CIRCULAR)
+                shapes = [sweep.points("ros").shape, sweep.azimuth().shape, sweep.when().shape]
+                _ = sweep.name, sweep.sensor, sweep.sequence, sweep.has(layout.CIRCULAR), sweep.copy()
             say(rows=int(sweep.header["rows"]), segments=len(sweep.segments), points=shapes[0])
             sweep = None
             continue
         try:
             sweep = sensor.next(0.0 if line.strip() == "look" else 5.0)
             say(sweep=None if sweep is None else sweep.sequence)
-        except consumer.SweepdError as error:
-            say(refused=str(error), layout=isinstance(error, consumer.LayoutError))
+        except sweepd.SweepdError as error:
+            say(refused=str(error), layout=isinstance(error, sweepd.LayoutError))
 
 
 def hold(name, root):
-    sensor = consumer.Sensor(name, root)
+    sensor = sweepd.Client(name, root)
     say(ready=sensor.next(0.0) is None and sensor.is_connected)
     # Of the first sweep only an array of beams is kept.
     kept = sensor.next(5.0).beams[3:]
@@ -128,7 +157,7 @@ def hold(name, root):
     try:
         sensor.next(0.0)
         greedy = None
-    except consumer.SweepdError as error:
+    except sweepd.SweepdError as error:
         greedy = str(error)
     same = kept.tobytes() == content
     del second
@@ -137,8 +166,26 @@ def hold(name, root):
     say(greedy=greedy, same=same, newest=newest, then=sensor.next(0.0) is None)
 
 
+def points_in(file, start_ns, x, y, turn):
+    sweep = sweepd.Sweep(np.fromfile(file, np.uint8))
+
+    def robot(time_ns):
+        seconds = (time_ns - int(start_ns)) * 1e-9
+        pose = np.zeros((*seconds.shape, 4, 4))
+        pose[..., 0, 0] = pose[..., 1, 1] = np.cos(float(turn) * seconds)
+        pose[..., 0, 1], pose[..., 1, 0] = np.sin(float(turn) * seconds), -np.sin(float(turn) * seconds)
+        pose[..., 0, 3], pose[..., 1, 3] = float(x) * seconds, float(y) * seconds
+        pose[..., 2, 2] = pose[..., 3, 3] = 1
+        return pose
+
+    points = sweep.points_in(robot, "robot")
+    chained = sweep.points_in(lambda time_ns: robot(time_ns) @ sweep.mount)
+    assert np.allclose(points, chained, rtol=0, atol=1e-9, equal_nan=True)
+    sys.stdout.buffer.write(points.tobytes())
+
+
 try:
-    {"layout": layout, "follow": lambda: follow(*sys.argv[2:]), "refuse": lambda: refuse(*sys.argv[2:]),
+    {"layout": numbers, "objects": lambda: objects(*sys.argv[2:]), "points_in": lambda: points_in(*sys.argv[2:]), "follow": lambda: follow(*sys.argv[2:]), "refuse": lambda: refuse(*sys.argv[2:]),
      "hold": lambda: hold(*sys.argv[2:])}[sys.argv[1]]()
-except consumer.SweepdError as error:
+except sweepd.SweepdError as error:
     say(error=str(error))

@@ -8,6 +8,7 @@ use sweepd::sweep::layout::{
     self, BeamRow, Column, ColumnStatus, Header, Part, ReturnChoice, ReturnKind, SECOND_BLOCKS,
     Segment, TimeSource, flags,
 };
+use sweepd::sweep::objects::{OBJECTS_VERSION, Object, ObjectsHeader, flags as told, why};
 use sweepd::wire::data::ReturnMode;
 
 /// A struct of the layout.
@@ -26,7 +27,7 @@ pub struct Field {
     pub name: &'static str,
     pub offset: usize,
     pub bytes: usize,
-    /// `u32`, or `f32[3]`.
+    /// `u32`, or `f32[3]`, or the name of a struct on the page.
     pub kind: String,
 }
 
@@ -35,7 +36,7 @@ fn field<S, T>(name: &'static str, offset: usize, _of: fn(&S) -> &T) -> Field {
         .trim_start_matches('[')
         .trim_end_matches(']');
     let kind = kind.split_once("; ").map_or_else(
-        || kind.to_owned(),
+        || kind.rsplit("::").next().unwrap_or(kind).to_owned(),
         |(element, count)| format!("{element}[{count}]"),
     );
     Field {
@@ -57,9 +58,27 @@ macro_rules! of {
     };
 }
 
-pub fn structs() -> [Struct; 5] {
+/// All of them.
+pub fn structs() -> Vec<Struct> {
+    let before = [of!(Preamble, "sweepd_preamble": layout_version sweep_bytes)];
+    let of_sweeps = before.into_iter().chain(structs_of_sweeps());
+    of_sweeps.chain(structs_of_objects()).collect()
+}
+
+/// What messages of objects are made of.
+fn structs_of_objects() -> [Struct; 2] {
     [
-        of!(Preamble, "sweepd_preamble": layout_version sweep_bytes),
+        of!(ObjectsHeader, "sweepd_objects_header":
+            magic version header_bytes sequence run_ns time_ns sent_ns sent_monotonic_ns time_source flags objects
+            first_ordinal labels first_label position_m yaw_rad pitch_rad roll_rad name),
+        of!(Object, "sweepd_object":
+            segment first_pixel ordinal why azimuth_first_rad azimuth_last_rad first_ns last_ns),
+    ]
+}
+
+/// What sweeps are made of.
+pub fn structs_of_sweeps() -> [Struct; 4] {
+    [
         of!(Header, "sweepd_header":
             magic version header_bytes total_bytes offsets rows columns columns_capacity segments segments_capacity model
             return_mode return_choice flags time_source sequence time_ns duration_ns sensor_time_ns arrival_ns rpm
@@ -77,6 +96,22 @@ pub fn structs() -> [Struct; 5] {
 
 /// The numbers that have a name in every language.
 pub fn numbers() -> Vec<(&'static str, u64)> {
+    let of_objects = [
+        ("OBJECTS_VERSION", OBJECTS_VERSION),
+        ("OBJECTS_LAST", told::LAST),
+        ("OBJECTS_NO_HEIGHT", told::NO_HEIGHT),
+        ("OBJECTS_PARTIAL", told::PARTIAL),
+        ("WHY_COMPLETE", why::COMPLETE),
+        ("WHY_SWEEP", why::SWEEP),
+        ("WHY_WIDE", why::WIDE),
+        ("WHY_SEAM", why::SEAM),
+    ];
+    let of_objects = of_objects.map(|(name, value)| (name, value.into()));
+    numbers_of_sweeps().into_iter().chain(of_objects).collect()
+}
+
+/// Those of sweeps.
+pub fn numbers_of_sweeps() -> Vec<(&'static str, u64)> {
     vec![
         ("LAYOUT_VERSION", layout::LAYOUT_VERSION.into()),
         ("ALIGN", layout::ALIGN as u64),

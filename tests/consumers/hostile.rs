@@ -42,6 +42,10 @@ pub fn service_name() -> ServiceName {
     "sweepd/roof/sweep".try_into().unwrap()
 }
 
+fn objects_name() -> ServiceName {
+    "sweepd/roof/objects".try_into().unwrap()
+}
+
 /// The attributes of a service whose layout has this version.
 pub fn schema(version: &str) -> AttributeSpecifier {
     AttributeSpecifier::new()
@@ -64,9 +68,30 @@ impl Hostile {
 
     /// One whose payload is aligned to this many bytes.
     pub fn aligned(own: &TempDomain, bytes: usize) -> Self {
+        let attributes = schema(&LAYOUT_VERSION.to_string());
+        Self::with(own, &service_name(), bytes, &attributes)
+    }
+
+    /// One that tells objects.
+    pub fn of_objects(own: &TempDomain) -> Self {
+        let attributes = schema(&LAYOUT_VERSION.to_string());
+        Self::with(own, &objects_name(), 1, &attributes)
+    }
+
+    /// One without attributes, as a tunnel mirrors a service from another host.
+    pub fn mirror(own: &TempDomain) -> Self {
+        Self::with(own, &service_name(), 1, &AttributeSpecifier::new())
+    }
+
+    fn with(
+        own: &TempDomain,
+        name: &ServiceName,
+        bytes: usize,
+        attributes: &AttributeSpecifier,
+    ) -> Self {
         let node = node(own);
         let samples = node
-            .service_builder(&service_name())
+            .service_builder(name)
             .publish_subscribe::<[u8]>()
             .user_header::<Preamble>();
         let samples = samples
@@ -74,14 +99,8 @@ impl Hostile {
             .history_size(1)
             .subscriber_max_buffer_size(2);
         let samples = samples.payload_alignment(Alignment::new(bytes).unwrap());
-        let service = samples
-            .create_with_attributes(&schema(&LAYOUT_VERSION.to_string()))
-            .unwrap();
-        let event = node
-            .service_builder(&service_name())
-            .event()
-            .create()
-            .unwrap();
+        let service = samples.create_with_attributes(attributes).unwrap();
+        let event = node.service_builder(name).event().create().unwrap();
         let notifier = event.notifier_builder().create().unwrap();
         let publisher = service
             .publisher_builder()
@@ -185,13 +204,13 @@ fn headers() -> Vec<(&'static str, Fate, Change)> {
     use Fate::{Refused, Taken};
     vec![
         ("honest", Taken, |_| {}),
-        ("another mark", Refused("mark"), |header| {
+        ("other magic bytes", Refused("magic"), |header| {
             header.magic = *b"SWEEPD\r\n"
         }),
-        ("zeros", Refused("mark"), |header| {
+        ("zeros", Refused("magic"), |header| {
             header.as_mut_bytes().fill(0)
         }),
-        ("ones", Refused("mark"), |header| {
+        ("ones", Refused("magic"), |header| {
             header.as_mut_bytes().fill(0xFF)
         }),
         ("an older version", Refused(VERSION), |header| {

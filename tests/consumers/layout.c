@@ -2,7 +2,11 @@
  *
  *     layout fields             name, offset, size, and kind of each field; each number
  *     layout points SWEEP       a record for each return
+ *     layout points_in SWEEP START_NS X Y W  the points of all pixels, of a robot that moves so since then: metres a second,
+ *                               radians a second clockwise
  *     layout check SWEEP        reads lines `offset value length shift`: the status of the sweep with that u32 in its header
+ *     layout check_objects MESSAGE  the same of a message of objects
+ *     layout objects MESSAGE    its header, its objects, its labels, and the box of each object in the frame of the robot
  */
 
 #include <inttypes.h>
@@ -32,6 +36,14 @@ static void fields(void) {
         printf(#type " " #field " %lu %lu %c%lu\n", (unsigned long)offsetof(type, field),                 \
                (unsigned long)sizeof half.field, kind_of((double)half.element, (double)minus_one.element), \
                (unsigned long)(8 * sizeof half.element));                                                 \
+    } while (0);
+/* One within another: its type is looked at by the compiler. */
+#define NESTED(type, field, of)                                                           \
+    do {                                                                                  \
+        static type outer;                                                                \
+        const of *inner = &outer.field;                                                   \
+        printf(#type " " #field " %lu %lu " #of "\n", (unsigned long)offsetof(type, field), \
+               (unsigned long)sizeof *inner);                                             \
     } while (0);
 #define NUMBER(name) printf("number " #name " %lu\n", (unsigned long)SWEEPD_##name);
 #define SIZE(type) printf("size " #type " %lu\n", (unsigned long)sizeof(type));
@@ -87,7 +99,65 @@ static int points(const char *path) {
     return 0;
 }
 
-static int check(const char *path) {
+/* A robot that moves evenly. */
+struct motion {
+    int64_t start_ns;
+    double x, y, turn;
+    sweepd_pose mount;
+};
+
+static sweepd_pose pose_at(int64_t time_ns, void *context) {
+    const struct motion *motion = (const struct motion *)context;
+    const double seconds = (double)(time_ns - motion->start_ns) * 1e-9;
+    const double position[3] = {motion->x * seconds, motion->y * seconds, 0.0};
+    const double quaternion[4] = {0.0, 0.0, sin(-motion->turn * seconds / 2.0), cos(motion->turn * seconds / 2.0)};
+    const sweepd_pose robot = sweepd_pose_of(position, quaternion);
+    return sweepd_chain(&robot, &motion->mount);
+}
+
+static int points_in(char **args) {
+    static double xyz[1 << 19][3];
+    size_t len;
+    uint8_t *bytes = content(args[0], &len);
+    sweepd_sweep sweep;
+    struct motion motion;
+    if (sweepd_open(bytes, len, &sweep) != SWEEPD_OK) return 3;
+    motion.start_ns = strtoll(args[1], NULL, 10);
+    motion.x = atof(args[2]);
+    motion.y = atof(args[3]);
+    motion.turn = atof(args[4]);
+    motion.mount = sweepd_mount(&sweep.header);
+    sweepd_points_in(&sweep, sweep.range, pose_at, &motion, xyz);
+    fwrite(xyz, sizeof xyz[0], (size_t)sweep.columns_len * sweep.rows, stdout);
+    return 0;
+}
+
+static int objects(const char *path) {
+    size_t len;
+    uint8_t *bytes = content(path, &len);
+    sweepd_objects view;
+    sweepd_pose mount;
+    uint32_t at;
+    if (sweepd_objects_open(bytes, len, &view) != SWEEPD_OK) return 3;
+    memset(bytes, 0xA5, sizeof(sweepd_objects_header));
+    fwrite(&view.header, sizeof view.header, 1, stdout);
+    fwrite(view.objects, sizeof(sweepd_object), view.objects_len, stdout);
+    fwrite(view.labels, sizeof(uint32_t), view.labels_len, stdout);
+    mount = sweepd_objects_mount(&view.header);
+    for (at = 0; at < view.objects_len; at++) {
+        double bounds_m[2][3];
+        sweepd_bounds(&mount, &view.objects[at].segment, bounds_m);
+        fwrite(bounds_m, sizeof bounds_m, 1, stdout);
+    }
+    return 0;
+}
+
+static sweepd_status check_objects(const void *bytes, size_t len) {
+    sweepd_objects view;
+    return sweepd_objects_open(bytes, len, &view);
+}
+
+static int check(const char *path, sweepd_status (*status_of)(const void *, size_t)) {
     size_t len;
     uint8_t *bytes = content(path, &len);
     uint32_t at, value, cut, shift, before;
@@ -95,7 +165,7 @@ static int check(const char *path) {
         memcpy(&before, bytes + at, 4);
         memcpy(bytes + at, &value, 4);
         memmove(bytes + shift, bytes, cut);
-        printf("%d\n", (int)sweepd_check(bytes + shift, cut));
+        printf("%d\n", (int)status_of(bytes + shift, cut));
         memmove(bytes, bytes + shift, cut);
         memcpy(bytes + at, &before, 4);
     }
@@ -108,6 +178,9 @@ int main(int argc, char **argv) {
         return 0;
     }
     if (argc == 3 && strcmp(argv[1], "points") == 0) return points(argv[2]);
-    if (argc == 3 && strcmp(argv[1], "check") == 0) return check(argv[2]);
+    if (argc == 7 && strcmp(argv[1], "points_in") == 0) return points_in(argv + 2);
+    if (argc == 3 && strcmp(argv[1], "check") == 0) return check(argv[2], sweepd_check);
+    if (argc == 3 && strcmp(argv[1], "check_objects") == 0) return check(argv[2], check_objects);
+    if (argc == 3 && strcmp(argv[1], "objects") == 0) return objects(argv[2]);
     return 1;
 }

@@ -8,7 +8,7 @@ use std::process::{Command, Stdio};
 use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::{LayoutError, ReturnKind};
 
-use super::fields::{numbers, structs};
+use super::fields::{Field, numbers, structs};
 use super::sweeps::{SOURCES, Source};
 use super::{folder, of_project};
 
@@ -18,19 +18,25 @@ const LANGUAGES: [(&str, &str, &[&str]); 2] = [
     ("C++11", "c++", &["-std=c++11", "-x", "c++"]),
 ];
 
+/// The name in C of the struct that a field is.
+fn nested(field: &Field) -> Option<&'static str> {
+    let named = structs().into_iter().find(|of| of.name == field.kind);
+    named.map(|of| of.c_name)
+}
+
 /// Compiles the program in all languages that can be, for a test.
-fn programs(test: &str) -> Vec<(&'static str, PathBuf)> {
+pub fn programs(test: &str) -> Vec<(&'static str, PathBuf)> {
     let folder = folder(test);
     let mut fields = String::new();
     for of in structs() {
         writeln!(fields, "SIZE({})", of.c_name).unwrap();
         for field in of.fields {
             let element = if field.kind.contains('[') { "[0]" } else { "" };
-            writeln!(
-                fields,
-                "FIELD({0}, {1}, {1}{element})",
-                of.c_name, field.name
-            )
+            let (c_name, name) = (of.c_name, field.name);
+            match nested(&field) {
+                Some(of) => writeln!(fields, "NESTED({c_name}, {name}, {of})"),
+                None => writeln!(fields, "FIELD({c_name}, {name}, {name}{element})"),
+            }
             .unwrap();
         }
     }
@@ -65,7 +71,7 @@ fn programs(test: &str) -> Vec<(&'static str, PathBuf)> {
     LANGUAGES.into_iter().map(compiled).collect()
 }
 
-fn run(program: &Path, args: &[&Path]) -> Vec<u8> {
+pub fn run(program: &Path, args: &[&Path]) -> Vec<u8> {
     let output = Command::new(program).args(args).output().unwrap();
     assert!(output.status.success(), "{args:?}: {:?}", output.status);
     output.stdout
@@ -82,7 +88,7 @@ fn the_header_has_the_fields_and_numbers_of_the_layout() {
             let element = if ["sensor", "name"].contains(&field.name) {
                 "i8"
             } else {
-                element
+                nested(&field).unwrap_or(element)
             };
             writeln!(
                 expected,
@@ -188,11 +194,11 @@ fn the_header_has_the_points_of_every_return() {
 }
 
 /// A number in the header that is something else, and how many of the bytes there are, from where.
-struct Fault {
-    at: usize,
-    value: u32,
-    len: usize,
-    shift: usize,
+pub struct Fault {
+    pub at: usize,
+    pub value: u32,
+    pub len: usize,
+    pub shift: usize,
 }
 
 #[test]
@@ -252,6 +258,18 @@ fn the_header_refuses_what_rust_refuses() {
         shift,
     }));
 
+    let open = |bytes: &[u8]| SweepRef::open(bytes).map(|_| ());
+    compare_refusals("check", bytes, &faults, &[0, 1, 2, 3], open);
+}
+
+/// The status that the program finds of bytes with each fault, against the error of Rust.
+pub fn compare_refusals(
+    check: &str,
+    bytes: &[u8],
+    faults: &[Fault],
+    statuses: &[u8],
+    open: impl Fn(&[u8]) -> Result<(), LayoutError>,
+) {
     // Aligned to 64 as a sweep is, with room for the shift.
     let mut buffer =
         sweepd::sweep::Buffers::take(&mut sweepd::sweep::HeapBuffers::default(), bytes.len() + 64);
@@ -262,29 +280,35 @@ fn the_header_refuses_what_rust_refuses() {
         value,
         len,
         shift,
-    } in &faults
+    } in faults
     {
         writeln!(lines, "{at} {value} {len} {shift}").unwrap();
         let shifted = &mut buffer[*shift..][..bytes.len()];
         shifted.copy_from_slice(bytes);
         shifted[*at..at + 4].copy_from_slice(&value.to_le_bytes());
-        let status = match SweepRef::open(&shifted[..*len]) {
-            Ok(_) => 0,
+        let status = match open(&shifted[..*len]) {
+            Ok(()) => 0,
             Err(LayoutError::Bytes { .. } | LayoutError::Torn { .. }) => 1,
-            Err(LayoutError::Foreign | LayoutError::Version { .. }) => 2,
+            Err(
+                LayoutError::Foreign
+                | LayoutError::Version { .. }
+                | LayoutError::ObjectsVersion { .. },
+            ) => 2,
             Err(LayoutError::Inconsistent) => 3,
         };
         writeln!(expected, "{status}").unwrap();
     }
     assert!(
-        (0..4).all(|status| expected.contains(&status.to_string())),
-        "all four are there"
+        statuses
+            .iter()
+            .all(|status| expected.contains(&status.to_string())),
+        "all are there"
     );
-    let file = folder("refused").join("sweep");
+    let file = folder(&format!("refused_{check}")).join("bytes");
     std::fs::write(&file, bytes).unwrap();
-    for (language, program) in programs("check") {
+    for (language, program) in programs(check) {
         let mut child = Command::new(program)
-            .args(["check".as_ref(), file.as_os_str()])
+            .args([check.as_ref(), file.as_os_str()])
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
@@ -295,7 +319,7 @@ fn the_header_refuses_what_rust_refuses() {
         let output = child.wait_with_output().unwrap();
         writer.join().unwrap();
         let said = String::from_utf8(output.stdout).unwrap();
-        for ((said, expected), fault) in said.lines().zip(expected.lines()).zip(&faults) {
+        for ((said, expected), fault) in said.lines().zip(expected.lines()).zip(faults) {
             let Fault {
                 at,
                 value,

@@ -44,6 +44,9 @@ fn tables() -> BTreeMap<String, Vec<Vec<String>>> {
 }
 
 fn bytes_of(kind: &str) -> usize {
+    if let Some(of) = structs().iter().find(|of| of.name == kind) {
+        return of.bytes;
+    }
     let (element, count) = kind
         .split_once('[')
         .map_or((kind, "1]"), |(element, count)| (element, count));

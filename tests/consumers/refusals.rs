@@ -20,7 +20,7 @@ use super::hostile::{
     COLUMNS, Case, Fate, Hostile, SHAPE, cases, honest, node, preamble, schema, service_name,
 };
 use super::python::{Talk, check, loans, publish};
-use super::{folder, of_project};
+use super::{folder, objects, of_project};
 use crate::common::temp_domain;
 use sweepd_lab::testkit::TempDomain;
 
@@ -77,7 +77,7 @@ fn rust_accepts_or_refuses_any_bytes() {
             (Err(error @ ClientError::Layout { .. }), Fate::Refused(words)) => {
                 let said = error.to_string();
                 assert!(
-                    said.starts_with("what `roof` publishes is no sweep: ") && said.contains(words),
+                    said.starts_with("`roof` sent no valid sweep: ") && said.contains(words),
                     "{name}: {said}"
                 );
             }
@@ -152,7 +152,7 @@ fn a_service_of_another_version_is_refused_with_both_and_the_cure_until_this_one
             let said = python.ask("next");
             let words = said["refused"].as_str().unwrap_or_else(|| panic!("{said}"));
             assert!(
-                words.contains(&both("3")) && words.contains("take the consumer.py of"),
+                words.contains(&both("3")) && words.contains("install the Python package of"),
                 "{words}"
             );
         }
@@ -231,7 +231,39 @@ fn a_foreign_service_of_the_same_name_is_refused() {
     meet!("u16", &version, [u16], .user_header::<Preamble>());
     meet!("header ()", &version, [u8],);
     meet!("sweepd.Preamble", &version, [u8], .user_header::<Wider>());
-    meet!("u8", &AttributeSpecifier::new(), [u8], .user_header::<Preamble>());
+}
+
+/// What a tunnel mirrors has no attributes: each sweep says its version.
+#[test]
+#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
+fn a_mirror_without_attributes_is_read_and_of_another_version_refused() {
+    let own = temp_domain();
+    let mirror = Hostile::mirror(&own);
+    let mut python = refusing(&own);
+    assert!(python.ask("look")["sweep"].is_null());
+    let mut client = Client::within(&own.domain(), "roof").unwrap();
+    assert!(client.next(Duration::ZERO).unwrap().is_none());
+    assert_eq!((client.is_connected(), client.model()), (true, None));
+    let bytes = honest(7);
+    mirror.send(&bytes, &preamble(LAYOUT_VERSION, bytes.len() as u64));
+    let sweep = client.next(SOON).unwrap().unwrap();
+    assert_eq!(sweep.view().unwrap().header.sequence, 7);
+    drop(sweep);
+    let said = python.ask("next");
+    assert!(
+        said["sweep"].is_number() && said["refused"].is_null(),
+        "{said}"
+    );
+    mirror.send(&bytes, &preamble(LAYOUT_VERSION + 1, bytes.len() as u64));
+    let error = client.next(SOON).unwrap_err();
+    let found = LAYOUT_VERSION + 1;
+    let said = python.ask("next");
+    let words = said["refused"].as_str().unwrap_or_default();
+    assert!(words.contains(&format!("layout version {found}")), "{said}");
+    assert!(
+        matches!(error, ClientError::Layout { source: LayoutError::Version { found: other }, .. } if other == found),
+        "{error}"
+    );
 }
 
 /// Has something else stand in the file in which a service says what it is.
@@ -621,7 +653,7 @@ fn cpp_accepts_or_refuses_any_file() {
         }
         let file = folder.join("sweep");
         std::fs::write(&file, &bytes).unwrap();
-        let (status, said) = run(&program, &file);
+        let (status, said) = run(&program, &[&file]);
         let expected = match fate {
             Fate::Taken => Some(0),
             Fate::Refused(_) => Some(1),
@@ -632,10 +664,17 @@ fn cpp_accepts_or_refuses_any_file() {
             "{name}: {said}"
         );
     }
+    for case in objects::cases().iter().filter(|case| case.is_whole()) {
+        let file = folder.join("message");
+        std::fs::write(&file, &case.bytes).unwrap();
+        let (status, said) = run(&program, &["--objects".as_ref(), &file]);
+        let expected = i32::from(case.refusal.is_some());
+        assert_eq!(status, Some(expected), "{}: {said}", case.name);
+    }
 }
 
-fn run(program: &Path, file: &Path) -> (Option<i32>, String) {
-    let output = Command::new(program).arg(file).output().unwrap();
+fn run(program: &Path, args: &[&Path]) -> (Option<i32>, String) {
+    let output = Command::new(program).args(args).output().unwrap();
     (
         output.status.code(),
         String::from_utf8_lossy(&output.stderr)

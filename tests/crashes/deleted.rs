@@ -35,10 +35,12 @@ const fn kind(
     }
 }
 
-const KINDS: [Kind; 14] = [
+const KINDS: [Kind; 16] = [
     kind("the pool", ".data", None, true),
     kind("a list of ports", ".dynamic", Some(0), true),
-    kind("the other list of ports", ".dynamic", Some(1), true),
+    kind("the second list of ports", ".dynamic", Some(1), true),
+    kind("the third list of ports", ".dynamic", Some(2), true),
+    kind("the fourth list of ports", ".dynamic", Some(3), true),
     kind("the connections", ".connection", None, false),
     kind("the counters of events", ".event_mgmt", None, false),
     kind("the counter of nodes", ".global_mgmt", None, false),

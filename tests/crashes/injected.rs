@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 use std::{fmt, fs};
 
-use crate::setup::{Process, Setup, Watch};
+use crate::setup::{Process, SOON, Setup, Watch};
 use crate::{Robot, SETTLE, files, no_more};
 use sweepd_lab::testkit::domain::clear;
 
@@ -87,15 +87,41 @@ fn traced(setup: &Setup, victim: Victim, strace: &[&str]) -> Process {
     Process::spawn(command, &setup.path("victim.log"))
 }
 
+/// Waits until a program handles SIGTERM, or has ended: before, the signal would kill it.
+fn until_it_can_be_told(process: &mut Process) {
+    let path = format!("/proc/{}/status", process.0.id());
+    let (begun, is_sigterm) = (Instant::now(), 1_u64 << 14);
+    while process.0.try_wait().unwrap().is_none() && begun.elapsed() < 2 * SOON {
+        let status = fs::read_to_string(&path).unwrap_or_default();
+        let of = |name| status.lines().find_map(|line| line.strip_prefix(name));
+        let handled = of("SigCgt:").and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+        // Until it becomes the program it is strace.
+        let is_itself = of("Name:").is_some_and(|name| name.trim() == "sweepd");
+        if is_itself && handled.is_some_and(|mask| mask & is_sigterm != 0) {
+            return;
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
 /// All calls of a victim from its start to its end, in their order.
 fn points(robot: &Robot, victim: Victim) -> Vec<Point> {
     let mut process = traced(&robot.setup, victim, &["-e", &format!("trace={CALLS}")]);
     let first = process.0.id().to_string();
     std::thread::sleep(victim.lives());
+    until_it_can_be_told(&mut process);
     process.ends_when_told().unwrap();
     // strace writes until a moment later.
-    std::thread::sleep(Duration::from_millis(200));
-    let text = fs::read_to_string(robot.setup.path("strace")).unwrap();
+    let (own, begun) = (format!("{first}<"), Instant::now());
+    let text = loop {
+        let text = fs::read_to_string(robot.setup.path("strace")).unwrap();
+        let is_end = |line: &str| line.starts_with(&own) && line.contains("+++ exited");
+        if text.lines().any(is_end) {
+            break text;
+        }
+        assert!(begun.elapsed() < SOON, "strace does not end: {text}");
+        std::thread::sleep(Duration::from_millis(10));
+    };
     let (mut numbers, mut points) = (HashMap::<(&str, &str), usize>::new(), Vec::new());
     for line in text.lines() {
         // PID<NAME OF THE THREAD> CALL(...
@@ -194,6 +220,7 @@ fn strike(setup: &Setup, victim: Victim, point: &Point) -> Result<bool, String> 
         }
     };
     let ended = process.ends_within(victim.lives()).or_else(|| {
+        until_it_can_be_told(&mut process);
         process.signal("-TERM");
         process.ends_within(Duration::from_secs(2))
     });

@@ -99,3 +99,38 @@ fn drawings(setup: &Setup) -> Vec<PathBuf> {
         .filter(|path| path.extension().is_some_and(|it| it == "png"))
         .collect()
 }
+
+#[test]
+fn a_consumer_ends_well_while_it_opens_a_service_whose_lists_are_gone() {
+    let setup = Setup::new("", "");
+    let mut daemon = setup.daemon();
+    drop(setup.client());
+    daemon.signal("-KILL");
+    daemon.wait();
+    let is_list = |path: &PathBuf| path.extension().is_some_and(|it| it == "dynamic");
+    let lists: Vec<PathBuf> = setup
+        .own
+        .shared_memory()
+        .into_iter()
+        .filter(is_list)
+        .collect();
+    assert!(!lists.is_empty());
+    for list in lists {
+        fs::remove_file(list).unwrap();
+    }
+    for attempt in 0..3 {
+        let log = setup.path(&format!("watch-{attempt}.log"));
+        let mut consumer = Process::start(&setup.watch_args(), &log);
+        let begun = Instant::now();
+        let waits = "its service is there, but cannot be opened: is the daemon running?; waiting";
+        while !fs::read_to_string(&log).is_ok_and(|said| said.contains(waits)) {
+            assert!(begun.elapsed() < SOON, "it does not wait");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        // Most of the time it waits inside the library, which a signal interrupts.
+        std::thread::sleep(Duration::from_millis(200 + 70 * attempt));
+        consumer
+            .ends_when_told()
+            .unwrap_or_else(|error| panic!("{error}: {}", fs::read_to_string(&log).unwrap()));
+    }
+}

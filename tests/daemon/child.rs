@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 
 use sweepd::daemon::config::Config;
 use sweepd::daemon::control::{self, Reload};
+use sweepd::sensor_settings::Rpm;
 
 use crate::rig::{Fate, Rig, config, sensor, until};
 
@@ -68,12 +69,12 @@ fn runs_a_daemon() {
     let reread = |old: &Config| {
         let text = std::fs::read_to_string(std::env::var(RELOADED).unwrap())
             .map_err(|error| error.to_string())?;
-        let rpm: f32 = text
+        let rpm = text
             .trim()
-            .parse()
+            .parse::<Rpm>()
             .map_err(|error| format!("{text}: {error}"))?;
         let mut new = old.clone();
-        new.sensors[0].rpm = Some(rpm);
+        new.sensors[0].want.rpm = Some(rpm);
         new.sensors[0].pipeline.cut_azimuth_rad = 1.0;
         Ok(Reload {
             config: new,

@@ -11,7 +11,10 @@ use sweepd_lab::testkit::stream::blank;
 use crate::child::{Daemon, is_free, write};
 use crate::rig::{Sending, cool_stream_without_gps, free_port, stream, until};
 
-const WATCHDOG: Duration = Duration::from_millis(800);
+/// Half of it is how long a thread may get no core before it counts as one that hangs.
+const WATCHDOG: Duration = Duration::from_secs(8);
+/// Where it is the watchdog that is waited for.
+const SHORT_WATCHDOG: Duration = Duration::from_millis(800);
 
 /// A VLP-16 for this many turns.
 fn vlp16(host: u16, ports: (u16, u16), turns: f64) -> Sending {
@@ -20,6 +23,13 @@ fn vlp16(host: u16, ports: (u16, u16), turns: f64) -> Sending {
         ports,
         stream(Model::Vlp16, ReturnMode::Strongest, turns),
     )
+}
+
+/// Whether some reason of /health begins with these words.
+fn is_a_reason(daemon: &Daemon, words: &str) -> bool {
+    let health = daemon.health().1;
+    let mut reasons = health["reasons"].as_array().unwrap().iter();
+    reasons.any(|reason| reason.as_str().unwrap().starts_with(words))
 }
 
 #[test]
@@ -46,7 +56,9 @@ fn ready_is_said_when_all_ports_are_bound_and_sigterm_ends_it_at_once() {
         begun.elapsed()
     );
     assert!(status.success());
-    assert_eq!(daemon.notified("STOPPING=1", None).len(), 1);
+    until("it says that it ends", || {
+        daemon.notified("STOPPING=1", None).len() == 1
+    });
     assert_eq!(
         daemon.log().matches("s71: streaming").count(),
         1,
@@ -71,7 +83,7 @@ fn a_port_that_is_taken_ends_it_before_it_is_ready() {
 #[test]
 fn the_watchdog_is_fed_until_a_sensor_thread_hangs() {
     let port = free_port();
-    let mut daemon = Daemon::start(&[[73, port, port]], free_port(), WATCHDOG);
+    let mut daemon = Daemon::start(&[[73, port, port]], free_port(), SHORT_WATCHDOG);
     daemon.until_ready();
     let _sending = vlp16(73, (port, port), 60.0);
     let begun = Instant::now();
@@ -79,15 +91,20 @@ fn the_watchdog_is_fed_until_a_sensor_thread_hangs() {
         daemon.notified("WATCHDOG=1", Some(begun)).len() >= 10
     });
     assert!(
-        begun.elapsed() > WATCHDOG * 2,
+        begun.elapsed() > SHORT_WATCHDOG * 2,
         "not more often than need be"
     );
     daemon.tell("hang");
     let hangs = format!("the thread of port 127.0.0.1:{port} hangs");
     until("it notices", || daemon.log().contains(&hangs));
-    let noticed = Instant::now();
-    std::thread::sleep(WATCHDOG * 3);
-    assert_eq!(daemon.notified("WATCHDOG=1", Some(noticed)), [""; 0]);
+    // The last one may be read after the log.
+    let mut last = Instant::now();
+    until("it is fed no more", || {
+        if !daemon.notified("WATCHDOG=1", Some(last)).is_empty() {
+            last = Instant::now();
+        }
+        last.elapsed() > SHORT_WATCHDOG * 3
+    });
     let (status, health) = daemon.health();
     assert_eq!((status, &health["ports"][0]["hangs"]), (503, &true.into()));
     assert!(health["reasons"].to_string().contains(&hangs));
@@ -115,22 +132,21 @@ fn sweeps_that_cannot_be_published_are_reported_with_the_reason() {
     let _sending = vlp16(80, (port, port), 100.0);
     until("it streams", || daemon.health().0 == 200);
     daemon.tell("fail");
-    until("it is unwell", || daemon.health().0 == 503);
-    assert_eq!(
-        daemon.health().1["reasons"][0],
-        "s80: sweeps reach nobody: the memory is full"
-    );
+    until("it is unwell", || {
+        daemon.health().0 == 503
+            && is_a_reason(&daemon, "s80: sweeps are not shared: the memory is full")
+    });
     until("it says so", || {
         daemon
             .log()
-            .contains("s80: sweeps reach nobody: the memory is full")
+            .contains("s80: sweeps are not shared: the memory is full")
     });
     daemon.tell("send");
     until("it is well again", || daemon.health().0 == 200);
     until("it says so", || {
         daemon.log().contains("s80: sweeps are shared again")
     });
-    assert_eq!(daemon.log().matches("sweeps reach nobody").count(), 1);
+    assert_eq!(daemon.log().matches("sweeps are not shared").count(), 1);
 }
 
 #[test]
@@ -168,9 +184,11 @@ fn sighup_takes_what_it_can_and_a_bad_file_changes_nothing() {
         daemon.notified("READY=1", None).len() == 3
     });
     assert!(daemon.log().contains("WARN") && daemon.log().contains("http needs a restart"));
-    until("the speed is watched", || daemon.health().0 == 503);
-    let off = "turns at 600 rpm and is configured for 900: set one of them to the other";
-    assert_eq!(daemon.health().1["sensors"][0]["reason"], off);
+    let off = "turns at 600 rpm, [sensor.want] says 900: change one of the two";
+    until("the speed is watched", || {
+        let (status, health) = daemon.health();
+        status == 503 && health["sensors"][0]["reason"] == off
+    });
 }
 
 #[test]
@@ -275,19 +293,15 @@ fn health_and_metrics_give_the_state_of_the_sensors() {
     assert_eq!(daemon.ask("POST /health").0, 405);
     assert_eq!(daemon.ask("HEAD /health"), (200, String::new()));
     drop(sending);
-    until("both are missed", || {
-        daemon.health().1["reasons"].as_array().unwrap().len() == 2
-    });
-    let (status, health) = daemon.health();
-    assert_eq!(
-        (status, &health["sensors"][0]["state"]),
-        (503, &"stalled".into())
-    );
-    let why = "s77: stalled: no packets from 127.0.0.77 on port";
-    assert!(
-        health["reasons"][1].as_str().unwrap().starts_with(why),
-        "{health}"
-    );
+    for (index, host) in [76, 77].into_iter().enumerate() {
+        let why = format!("s{host}: stalled: no packets from 127.0.0.{host} on port");
+        until(&why, || {
+            let (status, health) = daemon.health();
+            status == 503
+                && health["sensors"][index]["state"] == "stalled"
+                && is_a_reason(&daemon, &why)
+        });
+    }
 }
 
 #[test]
@@ -295,11 +309,11 @@ fn health_tells_a_beam_that_does_not_return_and_forgets_it_when_it_does() {
     let port = free_port();
     let mut daemon = Daemon::start(&[[83, port, port]], free_port(), WATCHDOG);
     daemon.until_ready();
-    let mut sent = stream(Model::Vlp16, ReturnMode::Strongest, 60.0);
-    let until_turn_25 = Duration::from_millis(2500);
+    let mut sent = stream(Model::Vlp16, ReturnMode::Strongest, 120.0);
+    let until_turn_50 = Duration::from_secs(5);
     for one in sent
         .iter_mut()
-        .filter(|one| one.is_data && one.after < until_turn_25)
+        .filter(|one| one.is_data && one.after < until_turn_50)
     {
         blank(&mut one.payload, 16, 11);
     }
@@ -401,7 +415,7 @@ fn ambiguous_position_packets_reach_no_sensor_and_are_logged_once() {
 #[test]
 fn silent_connections_do_not_block_others() {
     let port = free_port();
-    let daemon = Daemon::start(&[[79, port, port]], free_port(), WATCHDOG);
+    let daemon = Daemon::start(&[[79, port, port]], free_port(), SHORT_WATCHDOG);
     daemon.until_ready();
     let http = daemon.http_port();
     let _silent: Vec<_> = (0..64)

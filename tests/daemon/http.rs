@@ -237,7 +237,7 @@ fn slow_clients_and_floods_delay_no_sensor_and_are_cut_off() {
     let _sending = Sending::start(
         82,
         (port, port),
-        stream(Model::Vlp16, ReturnMode::Strongest, 120.0),
+        stream(Model::Vlp16, ReturnMode::Strongest, 600.0),
     );
     until("it streams", || daemon.health().0 == 200);
     let of = |name: &str| daemon.metrics()[&format!("sweepd_{name}{{sensor=\"s82\"}}")];

@@ -12,7 +12,8 @@ use crate::rig::{Sending, Sent, free_port, stream, until};
 const SINGLE: ReturnMode = ReturnMode::Strongest;
 /// How far the clocks of two sensors are apart.
 const AHEAD: Duration = Duration::from_millis(370);
-const WATCHDOG: Duration = Duration::from_millis(800);
+/// Half of it is how long a thread may get no core before it counts as one that hangs.
+const WATCHDOG: Duration = Duration::from_secs(8);
 
 /// A daemon that waits for these sensors, by host, on ports of their own.
 fn daemon<const N: usize>(hosts: [u16; N]) -> (Daemon, [u16; N]) {
@@ -135,12 +136,10 @@ fn a_loss_of_half_and_more_is_a_fault() {
         (45.0..55.0).contains(&percent(0)) && (85.0..95.0).contains(&percent(1)),
         "{health:#}"
     );
-    assert_eq!(
-        daemon.log().matches("lost before this host").count(),
-        2,
-        "{}",
-        daemon.log()
-    );
+    // /health knows it as soon as it is asked, the log with the next look at the sensors.
+    until("both are logged", || {
+        daemon.log().matches("lost before this host").count() == 2
+    });
 }
 
 #[test]
@@ -162,22 +161,23 @@ fn a_second_sensor_at_one_address_is_reported_for_the_same_model_and_for_another
     let words = |host: u16, port: u16| {
         format!("as if two heads sent from 127.0.0.{host} to port {port}: stop the second")
     };
-    until_told(&daemon, &words(104, ports[0]));
-    let told = until_told(&daemon, &words(105, ports[1]));
-    let reasons: Vec<&str> = told.lines().collect();
-    assert!(
-        reasons[0].contains("behind stamps that came before"),
-        "{told}"
-    );
-    assert!(
-        reasons[1].contains("with the byte of another product"),
-        "{told}"
-    );
+    for (host, port, why) in [
+        (104, ports[0], "behind stamps that came before"),
+        (105, ports[1], "with the byte of another product"),
+    ] {
+        let words = words(host, port);
+        let told = until_told(&daemon, &words);
+        let mut reasons = told.lines();
+        assert!(
+            reasons.any(|reason| reason.contains(&words) && reason.contains(why)),
+            "{told}"
+        );
+    }
     assert_eq!(daemon.health().0, 503);
     drop((alike, unlike));
 }
 
-/// A VLS-128 with two returns sends more in a second and a half, within the patience for a sensor
+/// A VLS-128 with two returns sends more in a second, within the patience for a sensor
 /// that is silent, than the largest buffer holds.
 #[test]
 fn losses_by_this_hosts_kernel_have_this_host_as_their_cause() {
@@ -187,11 +187,11 @@ fn losses_by_this_hosts_kernel_have_this_host_as_their_cause() {
         daemon.health().1["sensors"][0]["losses"]["percent"] == 0.0
     });
     daemon.signal("-STOP");
-    std::thread::sleep(Duration::from_millis(1_500));
+    std::thread::sleep(Duration::from_secs(1));
     daemon.signal("-CONT");
     let told = until_told(&daemon, "this host's kernel dropped ");
     let cure = format!(
-        " datagrams on port {port}, since nobody fetched them in time: give the port a larger receive buffer"
+        " datagrams on port {port}, because the daemon did not fetch them in time: give the port a larger receive buffer"
     );
     assert!(told.contains(&cure), "{told}");
     until("it is over", || {

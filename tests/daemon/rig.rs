@@ -9,11 +9,12 @@ use std::time::{Duration, Instant};
 
 pub use crate::common::free_port;
 use crate::counting::allocations;
-use sweepd::daemon::config::{Config, DaemonConfig, PortConfig, SensorConfig};
+use sweepd::daemon::config::{Config, DaemonConfig, ObjectsConfig, PortConfig, SensorConfig};
 use sweepd::daemon::losses::Limits;
 use sweepd::daemon::sharing::{Outgoing, SharedOutput, Sharing, SharingError, SharingStatus};
 use sweepd::pipeline;
 use sweepd::sensor::Model;
+use sweepd::sensor_settings::Settings;
 use sweepd::simulate::gps::{Clock, Reception};
 use sweepd::simulate::{Emitter, EmitterConfig, street};
 use sweepd::sweep::buffers::HeapBuffer;
@@ -107,6 +108,7 @@ impl Sharing for Rig {
             rig,
         };
         Ok(SharedOutput {
+            objects: None,
             buffers,
             status: Arc::new(OneConsumer(Arc::clone(&self.fate))),
         })
@@ -176,8 +178,9 @@ pub fn sensor(name: &str, host: u8, (data, position): (u16, u16)) -> SensorConfi
         },
         position_port: position,
         max_consumers: 4,
+        objects: ObjectsConfig::default(),
         dual: None,
-        rpm: None,
+        want: Settings::default(),
         losses: Limits::default(),
         pipeline: pipeline::Config::default(),
     }
@@ -251,7 +254,7 @@ fn stream_by(model: Model, mode: ReturnMode, turns: f64, clock: Clock) -> Vec<Se
 
 /// A sensor that sends in real time from 127.0.0.`host`, its data and position packets to a port
 /// each.
-pub struct Sending(Arc<AtomicBool>, Option<JoinHandle<()>>);
+pub struct Sending(Arc<AtomicBool>, Option<JoinHandle<Duration>>);
 
 impl Sending {
     pub fn start(host: u8, ports: (u16, u16), stream: Vec<Sent>) -> Self {
@@ -268,24 +271,26 @@ impl Sending {
         let ended = Arc::clone(&over);
         let socket = UdpSocket::bind(from).unwrap();
         let thread = std::thread::spawn(move || {
-            let begun = Instant::now();
+            let (begun, mut latest) = (Instant::now(), Duration::ZERO);
             for sent in stream {
                 std::thread::sleep((begun + sent.after).saturating_duration_since(Instant::now()));
                 if ended.load(Ordering::Relaxed) {
-                    return;
+                    break;
                 }
+                latest = latest.max(begun.elapsed().saturating_sub(sent.after));
                 let port = if sent.is_data { data } else { position };
                 socket
                     .send_to(&sent.payload, SocketAddr::from((Ipv4Addr::LOCALHOST, port)))
                     .unwrap();
             }
+            latest
         });
         Self(over, Some(thread))
     }
 
-    /// Waits until all is sent.
-    pub fn finish(mut self) {
-        self.1.take().unwrap().join().unwrap();
+    /// Waits until all is sent, and gives how late the latest datagram was.
+    pub fn finish(mut self) -> Duration {
+        self.1.take().unwrap().join().unwrap()
     }
 }
 

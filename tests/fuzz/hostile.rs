@@ -114,7 +114,7 @@ fn toml() -> Vec<Vec<u8>> {
         format!("[{}a]", "a.".repeat(BYTES / 4)).into_bytes(),
         sensors.into_bytes(),
         // Wrong in each of its places, and each is drawn.
-        "[[sensor]]\nname = \"\"\naddress = \"\"\nrpm = -1\nport = 0\n"
+        "[[sensor]]\nname = \"\"\naddress = \"\"\nwant = { rpm = -1 }\nport = 0\n"
             .repeat(BYTES / 52)
             .into_bytes(),
         keys.into_bytes(),

@@ -377,7 +377,7 @@ fn configs() -> Inputs {
     let all = "http = \"0.0.0.0:9000\"\nhttp_public = true\nroot = \"iox2\"\n[[sensor]]\nname = \"roof\"\n\
         address = \"192.168.1.201:2368\"\nport = 2370\nposition_port = 8309\nbind = \"192.168.1.100\"\n\
         multicast = \"239.0.0.1\"\ncpu = 2\nrealtime_priority = 50\nmodel = \"vlp16\"\nreturns = \"dual\"\nreturn = \"last\"\n\
-        cut_azimuth_deg = 90\nrpm = 600\nmax_consumers = 3\n[sensor.mount]\nx_m = 0.1\nroll_deg = 1\nheight_m = 1.7\n\
+        cut_azimuth_deg = 90\nmax_consumers = 3\n[sensor.want]\nrpm = 600\nfov = \"270-90\"\n[sensor.mount]\nx_m = 0.1\nroll_deg = 1\nheight_m = 1.7\n\
         [sensor.segment]\nmethod = \"paper\"\ntheta_deg = 10.0\nmin_points = 5\nmin_range_m = 0.5\nmax_range_m = 80\n\
         [[sensor]]\nname = \"rear\"\naddress = \"fe80::1\"\nmodel = \"hdl64e-s3\"\nposition_port = 8308\n\
         [record]\npath = \"drive.pcap\"\nrotate_mb = 100\nrotate_minutes = 1.5\n";
@@ -389,7 +389,7 @@ fn configs() -> Inputs {
 
 /// Slips in many places, each of which is to be drawn.
 fn data_example() -> Vec<u8> {
-    let sensor = "[[sensor]]\nname = \"a\"\naddress = \"10.0.0.1\"\nport = 2368\nrpm = 1e9\ncut_azimuth_deg = -400\n";
+    let sensor = "[[sensor]]\nname = \"a\"\naddress = \"10.0.0.1\"\nport = 2368\nwant.rpm = 1e9\ncut_azimuth_deg = -400\n";
     sensor.repeat(3).into_bytes()
 }
 

@@ -186,6 +186,50 @@ fn a_cut_that_is_measured_and_sent_in_time_stays() {
     }
 }
 
+/// They are known to a degree or two from the third silence on, and no more once all is measured.
+#[test]
+fn its_limits_are_measured() {
+    for (model, mode) in KINDS {
+        for rpm in [600.0, 1200.0] {
+            for (fov, cut_deg) in VIEWS {
+                let turn_s = 60.0 / rpm;
+                let sent = Spin {
+                    fov: Some(fov),
+                    fov_later: vec![(5.0 * turn_s, None)],
+                    ..Spin::new(model, mode, rpm)
+                }
+                .packets(8.0 * turn_s);
+                let calibration = (model == Hdl64eS3).then(unit);
+                let config = Config {
+                    calibration,
+                    ..cut_at(cut_deg)
+                };
+                let mut pipeline = Pipeline::new("x", config).unwrap();
+                let mut memory = Memory::new(HeapBuffers::default());
+                let mut known = Vec::new();
+                for one in &sent {
+                    let emitted = &one.packet.emit();
+                    let packet = datagram(emitted, one.arrival_ns).parse().unwrap();
+                    pipeline.push(&packet).unwrap();
+                    while pipeline.poll(&mut memory).is_some() {}
+                    known.extend(pipeline.field_of_view_deg());
+                }
+                let place = format!("{model} {mode} {rpm} {fov:?}");
+                assert!(!known.is_empty(), "{place}");
+                for (start, end) in known {
+                    let off =
+                        |deg: f64, cdeg: f64| ((deg - cdeg / 100.0 + 540.0) % 360.0 - 180.0).abs();
+                    assert!(
+                        off(start, fov.0) < 2.0 && off(end, fov.1) < 2.0,
+                        "{place}: {start} {end}"
+                    );
+                }
+                assert_eq!(pipeline.field_of_view_deg(), None, "{place}");
+            }
+        }
+    }
+}
+
 /// Whoever widens, narrows or turns the field of view loses nothing; sweeps that are no turn say
 /// so.
 #[test]

@@ -18,6 +18,7 @@ mod golden;
 mod hdl64e;
 mod leftover;
 mod matrix;
+mod objects;
 mod pains;
 mod paper;
 mod promises;

@@ -1,12 +1,14 @@
 //! The fast segmentation against its naive twin, and what must be true of any labelled sweep.
 
 use crate::common;
+use crate::common::objects::check;
 use std::collections::HashMap;
 use std::f32::consts::TAU;
 
 use proptest::prelude::*;
 use sweepd::assemble::lanes::levels;
 use sweepd::cloud::{COLUMNS, CloudProjector, CloudSegmenter, points};
+use sweepd::segment::objects::Objects;
 use sweepd::segment::points::placed;
 use sweepd::segment::{
     Config, ConfigError, Joining, Mask, Method, Mount, Segmenter, SlopeGround, naive,
@@ -237,7 +239,7 @@ fn label_of(sweep: &mut SweepMut<'_>, config: &Config) {
 }
 
 /// The same in steps: at each stop, a share of the columns, what will stay as it is.
-fn label_early(sweep: &mut SweepMut<'_>, config: &Config, mut stops: Vec<f64>) {
+fn label_early(sweep: &mut SweepMut<'_>, segmenter: &mut Segmenter, mut stops: Vec<f64>) {
     stops.sort_by(f64::total_cmp);
     let (whole, image, range) = (
         sweep.header.columns,
@@ -248,7 +250,6 @@ fn label_early(sweep: &mut SweepMut<'_>, config: &Config, mut stops: Vec<f64>) {
     let shifts = || sweep.beams.iter().map(|beam| beam.shift);
     let [lead, trail] = [shifts().max(), shifts().map(|shift| -shift).max()]
         .map(|most| most.unwrap().max(0) as usize);
-    let mut segmenter = Segmenter::new(config.clone()).unwrap();
     for stop in stops {
         if stop < 0.2 {
             segmenter.spoil();
@@ -261,6 +262,7 @@ fn label_early(sweep: &mut SweepMut<'_>, config: &Config, mut stops: Vec<f64>) {
         if segmenter.begin_early(sweep, ready) {
             while segmenter.find_ground(sweep) {
                 segmenter.join();
+                segmenter.tell(sweep);
             }
         }
     }
@@ -565,8 +567,37 @@ proptest! {
         scene.with_sweep(0, |sweep| {
             label_of(sweep, &config);
             let whole = written(&sweep.as_ref());
-            label_early(sweep, &config, stops);
+            label_early(sweep, &mut Segmenter::new(config).unwrap(), stops);
             prop_assert!(written(&sweep.as_ref()) == whole);
+            Ok(())
+        })?;
+    }
+
+    /// Objects are told while the head turns, those of a sweep that changes with it; a
+    /// listener changes nothing.
+    #[test]
+    fn objects_are_the_rows_of_the_table(
+        scene in scenes(),
+        columns in 1..900_usize,
+        width_rad in 0.05..3.0_f32,
+        stops in proptest::collection::vec(0.0..1.0, 0..12),
+    ) {
+        let scene = Scene { circular: true, columns, rows: scene.rows.min(40), ..scene };
+        let config = scene.config(Method::Slope);
+        let is_changed = stops.iter().any(|stop| *stop < 0.2);
+        scene.with_sweep(0, |sweep| {
+            for (index, column) in sweep.columns.iter_mut().enumerate() {
+                column.time_ns = 100_000 * index as u32;
+            }
+            label_of(sweep, &config);
+            let whole = written(&sweep.as_ref());
+            let mut segmenter = Segmenter::new(config).unwrap();
+            segmenter.listen(Some(Objects::new(width_rad)));
+            label_early(sweep, &mut segmenter, stops);
+            prop_assert!(written(&sweep.as_ref()) == whole);
+            let (first, told, labels) = segmenter.objects().unwrap().take();
+            let tally = check(&sweep.as_ref(), told, labels.unwrap(), is_changed, "a scene");
+            prop_assert!(first == 0 && told.len() >= tally.early + tally.with_sweep);
             Ok(())
         })?;
     }

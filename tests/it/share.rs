@@ -9,9 +9,12 @@ use std::time::{Duration, Instant};
 use crate::common::temp_domain;
 use sweepd::client::{Client, ClientError, JoinError, Sweep};
 use sweepd::pipeline::{Config, Pipeline};
-use sweepd::publish::{Domain, Loans, PublishError, ServiceSettings, Slot, pool_sweeps};
+use sweepd::publish::{Domain, Loans, PublishError, ServiceSettings, Slot, Topic, pool_sweeps};
+use sweepd::segment::objects::MAX_WIDTH_RAD;
 use sweepd::sensor::Model;
+use sweepd::simulate::{Emitter, EmitterConfig, fixtures};
 use sweepd::sweep::buffers::HeapBuffer;
+use sweepd::sweep::objects::{self, MESSAGE_BYTES, Object, Sending, flags};
 use sweepd::sweep::{Buffers, HeapBuffers, Memory, Shape, SweepMut, SweepRef};
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::testkit::TempDomain;
@@ -27,6 +30,7 @@ fn settings(max_consumers: usize) -> ServiceSettings {
         max_consumers,
         model,
         address,
+        ..ServiceSettings::default()
     }
 }
 
@@ -704,4 +708,67 @@ fn a_folder_of_another_user_names_both() {
             "{error}"
         );
     }
+}
+
+/// Objects of a simulated street go to a consumer while sweeps go to another, message by message.
+#[test]
+fn objects_come_as_they_were_told() {
+    let own = temp_domain();
+    let settings = ServiceSettings {
+        topic: Topic::Objects,
+        ..settings(2)
+    };
+    let mut loans = Loans::create(&own.domain(), &settings).unwrap();
+    loans.reserve(MESSAGE_BYTES).unwrap();
+    let client = Client::within(&own.domain(), "roof").unwrap();
+    let mut consumer = client.objects().unwrap();
+    assert!(consumer.next(Duration::ZERO).unwrap().is_none());
+    let sending = Sending {
+        name: "roof",
+        run_ns: 5,
+        sent_ns: 6,
+        sent_monotonic_ns: 7,
+        position_m: [1.0, 2.0, 3.0],
+        angles_rad: [0.1, 0.2, 0.3],
+    };
+
+    let scene = fixtures::scene();
+    let sensor = EmitterConfig::new(Model::Vlp16, ReturnMode::Strongest).turns(3.0);
+    let mut pipeline = Pipeline::new("192.168.1.201:2368", Config::default()).unwrap();
+    pipeline.listen(Some(MAX_WIDTH_RAD));
+    let mut memory = Memory::new(HeapBuffers::default());
+    let (mut told, mut received): (Vec<Object>, Vec<Object>) = (Vec::new(), Vec::new());
+    let (mut sweeps, mut messages) = (0, 0);
+    for sent in Emitter::new(sensor, &scene).untold() {
+        pipeline.push(&sent.datagram().parse().unwrap()).unwrap();
+        if pipeline.poll(&mut memory).is_none() {
+            pipeline.segment_early(&mut memory);
+        }
+        let Some(these) = pipeline.told() else {
+            continue;
+        };
+        told.extend_from_slice(these.objects);
+        objects::write(&these, &sending, |message| {
+            let mut slot = loans.take(message.len());
+            slot.as_mut().copy_from_slice(message);
+            assert_eq!(slot.publish().unwrap(), 1, "one consumer");
+        });
+        while let Some(message) = consumer.next(Duration::ZERO).unwrap() {
+            messages += 1;
+            let view = message.view().unwrap();
+            let header = view.header;
+            assert_eq!(header.sequence, these.sequence);
+            assert_eq!((header.name(), header.run_ns), ("roof", 5));
+            assert_eq!((header.position_m, header.roll_rad), ([1.0, 2.0, 3.0], 0.3));
+            assert_eq!(header.first_ordinal as usize, received.len());
+            received.extend_from_slice(view.objects);
+            if header.flags & flags::LAST != 0 {
+                assert_eq!(view.labels, these.labels);
+                assert_eq!(received, told);
+                sweeps += 1;
+                (told, received) = (Vec::new(), Vec::new());
+            }
+        }
+    }
+    assert!(sweeps >= 2 && messages > 10 * sweeps, "{messages} messages");
 }

@@ -1,13 +1,11 @@
-"""Writes what examples/consumer.py receives to standard output: first an empty record, as soon as it has found the daemon;
+"""Writes what the Python package receives to standard output: first an empty record, as soon as it has found the daemon;
 then for each sweep i64 sensor time, u64 length, and all that must be the same in a replay, in the order of equal.rs."""
 
-import pathlib
 import struct
 import sys
 
-sys.path.insert(0, str(pathlib.Path(__file__).parents[2] / "examples"))
-
-from consumer import TIME_HOST, Sensor  # noqa: E402
+from sweepd import Client
+from sweepd.layout import TIME_HOST
 
 OF_THE_HOST = ("sequence", "run_ns", "arrival_ns", "completed_ns", "completed_monotonic_ns", "dropped_datagrams",
                "decode_ns", "ground_ns", "label_ns")
@@ -34,7 +32,7 @@ def write(sensor_time_ns, data):
     sys.stdout.buffer.flush()
 
 
-roof = Sensor("roof", sys.argv[1])
+roof = Client("roof", sys.argv[1])
 while not roof.is_connected:
     roof.next(0.0)
 write(0, b"")

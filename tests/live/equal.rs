@@ -45,7 +45,7 @@ fn replayed(capture: &Path) -> Sweeps {
     sweeps
 }
 
-/// `examples/consumer.py` in a process of its own, and what it received.
+/// The Python package in a process of its own, and what it received.
 struct Python {
     child: Process,
     received: Receiver<(i64, Vec<u8>)>,
@@ -60,6 +60,7 @@ impl Python {
         command
             .arg(script)
             .arg(setup.own.root())
+            .env("PYTHONPATH", crate::common::PYTHON_PACKAGE)
             .stdin(Stdio::null())
             .stdout(Stdio::piped());
         let mut child = command.spawn().unwrap();
@@ -244,7 +245,7 @@ fn captures_replayed_at_any_speed() {
                 "--publish=roof",
                 "--speed",
                 speed,
-                "--loop=40",
+                "--loop=4000",
                 "--root",
             ];
             let root = setup.own.root().to_str().unwrap().to_owned();

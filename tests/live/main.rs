@@ -4,6 +4,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 mod equal;
+mod objects;
 mod reload;
 
 use common::{same, setup};

@@ -2,10 +2,12 @@
 //! where it must have one; and the daemon recovers alone where that is possible.
 //!
 //! The real binary, in namespaces of its own (unshare(1), as root): what is full, gone or read-only
-//! is so for it alone.
+//! is so for it alone. And two hosts with iceoryx2's tunnel between them, which are two network
+//! namespaces.
 
 #[path = "../common/mod.rs"]
 mod common;
 mod running;
 mod start;
+mod tunnel;
 mod world;

@@ -100,13 +100,18 @@ impl World {
 
     /// A simulated VLP-16 that sends for so long in the daemon's namespaces, in the background.
     pub fn simulate(&mut self, seconds: f64) {
+        self.simulate_model("vlp16", seconds);
+    }
+
+    /// The same of another model.
+    pub fn simulate_model(&mut self, model: &str, seconds: f64) {
         let to = format!("127.0.0.1:{}", self.port);
         let seconds = seconds.to_string();
         let mut command = self.enter(&[
             &binary(),
             "simulate",
             "--model",
-            "vlp16",
+            model,
             "--seconds",
             &seconds,
             "--to",

@@ -1,7 +1,7 @@
 //! Captures and simulations: what is shown, and how it is played.
 
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use serde_json::json;
 use sweepd::capture::Capture;
@@ -51,15 +51,18 @@ pub fn sweeps(path: &str, config: &Config) -> Vec<Buffer> {
     all
 }
 
-/// Fails unless two sweeps have the same bytes, but for how long their stages took.
+/// Fails unless two sweeps have the same bytes, but for how long their stages took and the room that
+/// they leave unused.
 #[track_caller]
 pub fn assert_same(one: &SweepRef<'_>, other: &SweepRef<'_>) {
-    let untimed = |sweep: &SweepRef<'_>| {
+    let told = |sweep: &SweepRef<'_>| {
         let mut header = *sweep.header;
         (header.decode_ns, header.ground_ns, header.label_ns) = (0, 0, 0);
+        (header.total_bytes, header.offsets, header.margin_columns) = (0, [0; _], 0);
+        (header.columns_capacity, header.segments_capacity) = (0, 0);
         header
     };
-    assert!(untimed(one).as_bytes() == untimed(other).as_bytes());
+    assert!(told(one).as_bytes() == told(other).as_bytes());
     assert!(one.range.as_bytes() == other.range.as_bytes());
     assert!(one.reflectivity == other.reflectivity);
     assert!(one.label == other.label);
@@ -108,7 +111,7 @@ fn sweeps_are_those_of_the_library_forwards_and_backwards() {
             let same = SweepRef::open(expected[index].as_ref()).unwrap();
             assert_same(&shown.sweep(), &same);
             assert_eq!(shown.about["sequence"], same.header.sequence);
-            assert!(shown.about["stages_us"]["decode"].as_f64().unwrap() > 0.0);
+            assert!(shown.sweep().header.decode_ns > 0);
         }
     }
 }
@@ -180,9 +183,11 @@ fn a_capture_is_played_to_its_end_paused_and_stepped_through() {
     assert_eq!(page.draw_until(|_| true).index(), count - 1);
     // At the end, to play is to begin again; slowly it takes its time.
     page.ask(json!({ "do": "speed", "factor": 0.1 }));
+    let begun = Instant::now();
     page.ask(json!({ "do": "play" }));
     assert_eq!(page.draw_until(|_| true).index(), 0);
-    assert!(page.sweep_within(Duration::from_millis(600)).is_none());
+    assert_eq!(page.draw_until(|_| true).index(), 1);
+    assert!(begun.elapsed() > Duration::from_millis(900));
     page.ask(json!({ "do": "speed", "factor": 16 }));
     page.draw_until(|shown| shown.index() == count - 1);
     page.ask(json!({ "do": "speed", "factor": 17 }));
@@ -222,12 +227,13 @@ fn a_slow_page_gets_the_newest() {
     let mut page = view.page();
     let first = page.sweep();
     assert_eq!(first.missed(), 0);
-    assert!(page.sweep_within(Duration::from_millis(700)).is_none());
+    let mut fast = view.page();
+    let seen = fast.draw_until(|shown| shown.index() >= first.index() + 5);
+    assert!(page.sweep_within(Duration::from_millis(100)).is_none());
     page.drawn();
     let newest = page.sweep();
-    let missed = newest.index() - first.index() - 1;
-    assert!(missed >= 3, "{missed}");
-    assert_eq!(newest.missed(), missed);
+    assert!(newest.index() >= seen.index());
+    assert_eq!(newest.missed(), newest.index() - first.index() - 1);
 }
 
 #[test]

@@ -103,6 +103,13 @@ pub struct Page {
     runtime: Runtime,
 }
 
+/// A copy of a sweep's bytes that Rust can read: the page needs no alignment.
+pub fn aligned(bytes: &[u8]) -> <HeapBuffers as Buffers>::Buffer {
+    let mut aligned = HeapBuffers::default().take(bytes.len());
+    aligned.as_mut()[..bytes.len()].copy_from_slice(bytes);
+    aligned
+}
+
 /// A sweep, as a page gets it.
 pub struct Shown {
     /// What comes before it.
@@ -126,6 +133,12 @@ impl Shown {
     pub fn sweep(&self) -> SweepRef<'_> {
         SweepRef::open(self.bytes.as_ref()).unwrap()
     }
+}
+
+fn has_words(message: &Value, part: &str) -> bool {
+    message["words"]
+        .as_str()
+        .is_some_and(|words| words.contains(part))
 }
 
 impl Page {
@@ -187,11 +200,20 @@ impl Page {
 
     /// Waits until the state has words with this in it.
     pub fn words(&mut self, part: &str) -> Value {
-        self.until(|message| {
-            message["words"]
-                .as_str()
-                .is_some_and(|words| words.contains(part))
-        })
+        self.until(|message| has_words(message, part))
+    }
+
+    /// The state with these words, if it comes within this time.
+    pub fn words_within(&mut self, part: &str, limit: Duration) -> Option<Value> {
+        let begun = Instant::now();
+        loop {
+            if let Message::Text(text) = self.within(limit.saturating_sub(begun.elapsed()))? {
+                let message = serde_json::from_str(&text).unwrap();
+                if has_words(&message, part) {
+                    return Some(message);
+                }
+            }
+        }
     }
 
     /// The next sweep within this time; it is not drawn yet.
@@ -209,12 +231,9 @@ impl Page {
         let Some(Message::Binary(bytes)) = self.within(PATIENCE) else {
             panic!("a description without bytes");
         };
-        // The page has no use for aligned bytes, but Rust has.
-        let mut aligned = HeapBuffers::default().take(bytes.len());
-        aligned.as_mut()[..bytes.len()].copy_from_slice(&bytes);
         let shown = Shown {
             about,
-            bytes: aligned,
+            bytes: aligned(&bytes),
         };
         assert_eq!(shown.sweep().header.total_bytes, bytes.len() as u64);
         Some(shown)

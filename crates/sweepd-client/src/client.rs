@@ -22,6 +22,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
+//! [`SweepRef::points_in`] brings the points into another frame, by the pose at each shot.
+//!
 //! It may be started before the daemon, and continues after a restart of the daemon. It must run as
 //! the daemon's user: only the owner has access to the shared memory, and another user, including
 //! root, gets an error that says so.
@@ -35,10 +37,12 @@ use std::time::Duration;
 use zerocopy::FromBytes;
 
 pub use crate::publish::{Domain, DomainError, JoinError, SubscribeError};
-use crate::publish::{Received, Subscriber, attributes};
+use crate::publish::{Received, Subscriber, Topic, attributes};
 use sweepd_core::sweep::Header;
 pub use sweepd_core::sweep::layout::LayoutError;
-pub use sweepd_core::sweep::{Return, SweepRef};
+use sweepd_core::sweep::objects::ObjectsHeader;
+pub use sweepd_core::sweep::objects::{Object, ObjectsRef};
+pub use sweepd_core::sweep::{Pose, Return, SweepRef};
 
 /// The sweeps of one sensor.
 #[derive(Debug)]
@@ -61,8 +65,16 @@ pub enum ClientError {
     #[error(transparent)]
     Subscribe(#[from] SubscribeError),
     /// What came is no sweep.
-    #[error("what `{name}` publishes is no sweep: {source}")]
+    #[error("`{name}` sent no valid sweep: {source}")]
     Layout {
+        /// Name of the sensor.
+        name: String,
+        /// What is wrong.
+        source: LayoutError,
+    },
+    /// What came is no message of objects.
+    #[error("`{name}` sent no valid objects: {source}")]
+    Objects {
         /// Name of the sensor.
         name: String,
         /// What is wrong.
@@ -86,7 +98,7 @@ impl Client {
     /// As [`Client::new`].
     pub fn within(domain: &Domain, sensor: &str) -> Result<Self, ClientError> {
         Ok(Self {
-            subscriber: Subscriber::new(domain, sensor)?,
+            subscriber: Subscriber::new(domain, sensor, Topic::Sweeps)?,
         })
     }
 
@@ -117,6 +129,18 @@ impl Client {
         Ok(Some(sweep))
     }
 
+    /// The objects of the same sensor while its head turns. The daemon notices the consumer within
+    /// about a second, and publishes objects from then on.
+    ///
+    /// # Errors
+    /// As [`Client::new`].
+    pub fn objects(&self) -> Result<Objects, ClientError> {
+        let (domain, name) = (self.subscriber.domain(), self.subscriber.name());
+        Ok(Objects {
+            subscriber: Subscriber::new(domain, name, Topic::Objects)?,
+        })
+    }
+
     /// Whether the sensor's service was found.
     pub fn is_connected(&self) -> bool {
         self.subscriber.is_connected()
@@ -140,6 +164,64 @@ impl Client {
     /// Where its packets come from.
     pub fn address(&self) -> Option<String> {
         self.subscriber.attribute(attributes::ADDRESS)
+    }
+}
+
+/// The objects of one sensor, while its head turns.
+#[derive(Debug)]
+pub struct Objects {
+    subscriber: Subscriber,
+}
+
+/// Objects of one sweep that became known together, in shared memory.
+#[derive(Debug)]
+pub struct ObjectsMessage {
+    /// A copy from when the message came.
+    header: ObjectsHeader,
+    received: Received,
+}
+
+impl Objects {
+    /// The next message; waits as [`Client::next`] does. A consumer that is slow by more
+    /// than the 64 messages of its queue, a turn and more, misses some: see
+    /// [`ObjectsHeader::first_ordinal`].
+    ///
+    /// # Errors
+    /// [`ClientError`]: an error that does not pass by waiting.
+    pub fn next(&mut self, timeout: Duration) -> Result<Option<ObjectsMessage>, ClientError> {
+        let Some(received) = self.subscriber.wait(timeout)? else {
+            return Ok(None);
+        };
+        let message = ObjectsMessage::of(received).map_err(|source| ClientError::Objects {
+            name: self.subscriber.name().to_owned(),
+            source,
+        })?;
+        Ok(Some(message))
+    }
+
+    /// Whether a daemon publishes them at present.
+    pub fn is_published(&self) -> bool {
+        self.subscriber.is_published()
+    }
+}
+
+impl ObjectsMessage {
+    fn of(received: Received) -> Result<Self, LayoutError> {
+        received.check()?;
+        let bytes: &[u8] = received.as_ref();
+        let (header, _) = ObjectsHeader::read_from_prefix(bytes)
+            .map_err(|_| LayoutError::Bytes { bytes: bytes.len() })?;
+        let message = Self { header, received };
+        message.view()?;
+        Ok(message)
+    }
+
+    /// The view of the message.
+    ///
+    /// # Errors
+    /// [`LayoutError`], if the publisher has changed it to be invalid.
+    pub fn view(&self) -> Result<ObjectsRef<'_>, LayoutError> {
+        ObjectsRef::with_header(&self.header, self.received.as_ref())
     }
 }
 

@@ -18,6 +18,7 @@ mod decoding;
 mod identify;
 mod report;
 mod state;
+mod telling;
 mod timed;
 
 pub use config::Config;
@@ -26,10 +27,12 @@ pub use report::{Counts, Fault, Notice};
 pub use timed::TimedSegmenter;
 
 use crate::assemble::clock::vouched_utc_ns;
-use crate::segment::{ConfigError, Segmenter};
+use crate::segment::objects::Objects;
+use crate::segment::{ConfigError, STRIP_COLUMNS, Segmenter};
 use crate::sensor::detect::Detection;
 use crate::sensor::unit::Unit;
 use crate::sweep::buffers::OpenBuffer;
+use crate::sweep::objects::Told;
 use crate::sweep::{Buffers, Memory, SweepMut};
 use crate::wire::{Content, Packet, TIMES_NS};
 use dark_beams::DarkBeams;
@@ -38,6 +41,7 @@ use fearless_simd::Level;
 use identify::{Handover, NumberedPacket, Setup};
 use report::Events;
 use state::State;
+use telling::Telling;
 
 /// One sensor's way from packets to labelled sweeps.
 pub struct Pipeline {
@@ -45,6 +49,7 @@ pub struct Pipeline {
     state: State,
     segmenter: TimedSegmenter,
     dark_beams: DarkBeams,
+    telling: Telling,
     /// The clock that times the stages, nanoseconds since any fixed moment.
     clock: fn() -> i64,
     /// Ordinal of the next data packet.
@@ -82,6 +87,7 @@ impl Pipeline {
             },
             segmenter: TimedSegmenter::new(segmenter, untimed),
             dark_beams: DarkBeams::default(),
+            telling: Telling::default(),
             clock: untimed,
             next_number: 0,
             events: Events::default(),
@@ -129,8 +135,8 @@ impl Pipeline {
         }
     }
 
-    /// Counts a datagram of this sensor that is as long as a data packet and is none: it has an
-    /// ordinal like the others.
+    /// Counts a datagram of this sensor that has the length of a data packet but is none. It takes
+    /// an ordinal like the others.
     pub fn refuse(&mut self) {
         self.next_number += 1;
         self.events.counts.data += 1;
@@ -226,21 +232,44 @@ impl Pipeline {
         sweep.header.position_m = self.setup.config.position_m;
         sweep.header.yaw_rad = self.setup.config.yaw_rad;
         self.dark_beams.look(&sweep.as_ref());
+        if self.segmenter.objects().is_some() {
+            self.telling
+                .ended(sweep.header, self.setup.config.segment.method);
+        }
     }
 
-    /// Ground and joins of what is there of the open sweep: so there is little left to do when the
-    /// head has turned. For when there is nothing else to do, as after a batch of packets; the
-    /// sweeps are the same without.
+    /// Segments the final columns of the open sweep, so that little is left to do when it is
+    /// complete. Call it when there is nothing else to do, such as after a batch of packets; the
+    /// sweeps are the same without it.
     pub fn segment_early<B: Buffers>(&mut self, memory: &mut Memory<B>) {
         if let Some(decoding) = self.state.decoding_mut()
             && let Some((mut sweep, ready)) = decoding.builder.so_far(memory)
         {
             self.segmenter.segment_early(&mut sweep, ready);
+            if self.segmenter.objects().is_some() {
+                let begun = decoding.begun_ns();
+                self.telling.goes_on(sweep.header, begun);
+            }
         }
     }
 
-    /// Tells the time while nothing arrives: a sweep that stalled is to be closed as it is. Whether
-    /// there is one: then it comes out at the next [`Pipeline::poll`].
+    /// Finds objects while the head turns, from the next sweep on; `None` ends that. Objects wider
+    /// than `max_width_rad`, radians, come in parts. [`Pipeline::segment_early`] completes them,
+    /// the last ones come with the sweep; [`Pipeline::told`] hands them out.
+    pub fn listen(&mut self, max_width_rad: Option<f32>) {
+        self.segmenter.listen(max_width_rad.map(Objects::new));
+        self.telling = Telling::default();
+    }
+
+    /// The objects of one sweep that became complete since the last call; `None` if nothing is new.
+    /// Call it after each [`Pipeline::segment_early`], and after each [`Pipeline::poll`] that gave
+    /// a sweep, before the next one.
+    pub fn told(&mut self) -> Option<Told<'_>> {
+        self.telling.take(self.segmenter.objects()?)
+    }
+
+    /// Passes the time while nothing arrives, so that a stalled sweep is closed as it is. Returns
+    /// whether there is one: it comes out at the next [`Pipeline::poll`].
     pub fn tick(&mut self, now_ns: i64) -> bool {
         match self.state.decoding_mut() {
             Some(decoding) if decoding.is_stalled(now_ns) => {
@@ -276,8 +305,8 @@ impl Pipeline {
         self.state.unit()
     }
 
-    /// Expects the HDL-64E of which this is known, before the first packet: its calibration and its
-    /// power need not be awaited then. For another sensor it is of no account.
+    /// Gives what is known of an HDL-64E, before the first packet, so that decoding need not wait
+    /// for its calibration and power. For another sensor it has no effect.
     pub fn expect_unit(&mut self, known: Option<Unit>) {
         self.state.expect_unit(known);
     }
@@ -297,11 +326,38 @@ impl Pipeline {
         self.dark_beams.iter()
     }
 
+    /// First and last azimuth of a limited field of view, clockwise from the sensor's +y, degrees;
+    /// `None` while no sector has been left out twice in a row.
+    pub fn field_of_view_deg(&self) -> Option<(f64, f64)> {
+        let (start, end) = self.state.decoding()?.builder.field_of_view_cdeg()?;
+        Some((start / 100.0, end / 100.0))
+    }
+
     /// When the packet that completes the open sweep will arrive at the earliest, if the head goes
     /// on as it did, nanoseconds since 1970; `None` while it is unknown. The caller that fetches
     /// packets need not hurry before.
     pub fn due_ns(&self) -> Option<i64> {
         self.state.decoding()?.builder.due_ns()
+    }
+
+    /// Earliest arrival of the packet with which more objects of the open sweep can be complete,
+    /// nanoseconds since 1970: the last such packet within `every_ns` of the previous strip, but at
+    /// least the one that completes the next strip of columns. `None` if, as far as is known, none
+    /// will be complete before the sweep is.
+    pub fn objects_due_ns(&self, every_ns: i64) -> Option<i64> {
+        let builder = &self.state.decoding()?.builder;
+        let mut columns = self.segmenter.next_columns();
+        let mut due_ns = builder.final_ns(columns)?;
+        let strip_ns = builder.final_ns(columns + STRIP_COLUMNS)? - due_ns;
+        // The strip before was told that much before this one.
+        let until_ns = due_ns - strip_ns + every_ns;
+        loop {
+            columns += STRIP_COLUMNS;
+            match builder.final_ns(columns) {
+                Some(later_ns) if later_ns <= until_ns => due_ns = later_ns,
+                _ => return Some(due_ns),
+            }
+        }
     }
 
     /// What became of the datagrams so far.

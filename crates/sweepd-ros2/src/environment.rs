@@ -50,66 +50,13 @@ impl Environment {
     fn from_variables(
         get: impl Fn(&'static str) -> Option<String>,
     ) -> Result<Self, EnvironmentError> {
-        let get = |variable| get(variable).unwrap_or_default();
-        let wrong = |variable, value: &str, cure: String| EnvironmentError {
-            variable,
-            value: value.to_owned(),
-            cure,
-        };
-
-        let variable = "ROS_DOMAIN_ID";
-        let value = get(variable);
-        let domain = match value.parse() {
-            _ if value.is_empty() => 0,
-            Ok(domain) if domain <= LAST_DOMAIN => domain,
-            _ => {
-                let cure = format!("give a number from 0 to {LAST_DOMAIN}, or unset it");
-                return Err(wrong(variable, &value, cure));
-            }
-        };
-
-        let variable = "ROS_AUTOMATIC_DISCOVERY_RANGE";
-        let value = get(variable);
-        let mut range = match value.as_str() {
-            "OFF" => DiscoveryRange::Off,
-            "LOCALHOST" => DiscoveryRange::Localhost,
-            // The system's default is that of DDS, which is multicast.
-            "" | "SUBNET" | "SYSTEM_DEFAULT" => DiscoveryRange::Subnet,
-            _ => {
-                let cure = "give OFF, LOCALHOST, SUBNET or SYSTEM_DEFAULT, or unset it";
-                return Err(wrong(variable, &value, cure.to_owned()));
-            }
-        };
-
-        let variable = "ROS_STATIC_PEERS";
-        let value = get(variable);
-        let mut static_peers = vec![];
-        for peer in value.split(';').filter(|peer| !peer.is_empty()) {
-            match resolve(peer) {
-                Some(address) => static_peers.push(address),
-                None => {
-                    let cure = format!(
-                        "`{peer}` has no IPv4 address here; give addresses, or names that this \
-                         host resolves, with `;` between them"
-                    );
-                    return Err(wrong(variable, &value, cure));
-                }
-            }
-        }
-
+        let domain = read(&get, "ROS_DOMAIN_ID", read_domain)?;
+        let mut range = read(&get, "ROS_AUTOMATIC_DISCOVERY_RANGE", read_range)?;
+        let mut static_peers = read(&get, "ROS_STATIC_PEERS", read_peers)?;
         // The older variable goes before the others where it is set, as in ROS.
-        let variable = "ROS_LOCALHOST_ONLY";
-        let value = get(variable);
-        match value.as_str() {
-            "" | "0" => {}
-            "1" => {
-                range = DiscoveryRange::Localhost;
-                static_peers.clear();
-            }
-            _ => {
-                let cure = "give 1 or 0, or unset it";
-                return Err(wrong(variable, &value, cure.to_owned()));
-            }
+        if read(&get, "ROS_LOCALHOST_ONLY", read_switch)? {
+            range = DiscoveryRange::Localhost;
+            static_peers.clear();
         }
         if range == DiscoveryRange::Off {
             static_peers.clear();
@@ -119,6 +66,62 @@ impl Environment {
             range,
             static_peers,
         })
+    }
+}
+
+/// Reads one variable; `parse` gives the cure where its value makes no sense.
+fn read<T>(
+    get: impl Fn(&'static str) -> Option<String>,
+    variable: &'static str,
+    parse: fn(&str) -> Result<T, String>,
+) -> Result<T, EnvironmentError> {
+    let value = get(variable).unwrap_or_default();
+    parse(&value).map_err(|cure| EnvironmentError {
+        variable,
+        value,
+        cure,
+    })
+}
+
+fn read_domain(value: &str) -> Result<u16, String> {
+    match value.parse() {
+        _ if value.is_empty() => Ok(0),
+        Ok(domain) if domain <= LAST_DOMAIN => Ok(domain),
+        _ => Err(format!(
+            "give a number from 0 to {LAST_DOMAIN}, or unset it"
+        )),
+    }
+}
+
+fn read_range(value: &str) -> Result<DiscoveryRange, String> {
+    match value {
+        "OFF" => Ok(DiscoveryRange::Off),
+        "LOCALHOST" => Ok(DiscoveryRange::Localhost),
+        // The system's default is that of DDS, which is multicast.
+        "" | "SUBNET" | "SYSTEM_DEFAULT" => Ok(DiscoveryRange::Subnet),
+        _ => Err("give OFF, LOCALHOST, SUBNET or SYSTEM_DEFAULT, or unset it".to_owned()),
+    }
+}
+
+fn read_peers(value: &str) -> Result<Vec<Ipv4Addr>, String> {
+    let mut addresses = vec![];
+    for peer in value.split(';').filter(|peer| !peer.is_empty()) {
+        let address = resolve(peer).ok_or_else(|| {
+            format!(
+                "`{peer}` has no IPv4 address here; give addresses, or names that this host \
+                 resolves, with `;` between them"
+            )
+        })?;
+        addresses.push(address);
+    }
+    Ok(addresses)
+}
+
+fn read_switch(value: &str) -> Result<bool, String> {
+    match value {
+        "" | "0" => Ok(false),
+        "1" => Ok(true),
+        _ => Err("give 1 or 0, or unset it".to_owned()),
     }
 }
 

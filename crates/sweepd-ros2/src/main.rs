@@ -12,7 +12,6 @@ mod transforms;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
 use std::io;
-use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -23,8 +22,8 @@ use clap::Parser;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::flag;
 use sweepd_client::client::{Client, Domain};
-use sweepd_client::publish::{NAME_RULE, is_sensor_name};
 use sweepd_messages::message_type::{DIAGNOSTIC_ARRAY, TF_MESSAGE};
+use sweepd_ros2::args::Args;
 use sweepd_ros2::{Durability, Environment, Node, NodeError, Publisher, log};
 
 use crate::bridge::{Bridge, Seen, Topic};
@@ -40,50 +39,6 @@ const LOOK_EVERY: Duration = Duration::from_millis(50);
 const SEARCH_EVERY: Duration = Duration::from_millis(500);
 /// Between messages of `/diagnostics`.
 const DIAGNOSE_EVERY: Duration = Duration::from_secs(1);
-
-/// Publishes the sweeps that sweepd shares on the ROS 2 graph; it needs no ROS
-#[derive(Debug, Parser)]
-#[command(name = "sweepd-ros2", version, max_term_width = 100)]
-#[command(after_help = "\
-Topics of the sensor `roof`, each computed only while somebody subscribes:
-  ~/roof/points       sensor_msgs/PointCloud2, x y z intensity ring time label
-  ~/roof/ground       the same, ground alone
-  ~/roof/objects      the same, segments alone
-  ~/roof/markers      visualization_msgs/MarkerArray, a box a segment
-  ~/roof/range_image  sensor_msgs/Image, 32FC1, metres
-  ~/roof/label_image  sensor_msgs/Image, 16UC1
-  /diagnostics        diagnostic_msgs/DiagnosticArray, each second
-  /tf_static          tf2_msgs/TFMessage, where the daemon's configuration has a mount
-
-ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY and ROS_STATIC_PEERS count as in ROS. \
-What a launch file adds is taken: --ros-args with -r __node:=NAME, -r __ns:=/NAMESPACE, \
--r TOPIC:=TOPIC, --params-file FILE, -p NAME:=VALUE.
-
-Examples:
-  sweepd-ros2                           all sensors
-  sweepd-ros2 roof --parameters ros2.yaml
-  sweepd-ros2 roof --ros-args -r ~/roof/points:=/velodyne_points -p stamp:=last")]
-struct Args {
-    /// Sensors to publish [default: `sensors` of the parameters, else all, also those that come
-    /// later]
-    #[arg(value_name = "NAME", value_parser = sensor_name)]
-    sensors: Vec<String>,
-    /// Parameters: YAML in the form of ROS, with `sensors`, `root`, `health`, `base_frame`,
-    /// `frame_id`, `stamp`, `organized`, `layout`, `fields`
-    #[arg(long, value_name = "FILE", visible_alias = "params-file")]
-    parameters: Option<PathBuf>,
-    /// Name of the node
-    #[arg(long, value_name = "NAME", default_value = "sweepd")]
-    node: String,
-    /// Its namespace
-    #[arg(long, value_name = "NAMESPACE", default_value = "/")]
-    namespace: String,
-    /// Folder by which the daemon and its consumers find each other [default: `root` of the
-    /// parameters, else $SWEEPD_ROOT, else /run/sweepd/iox2 where there is a /run/sweepd, else
-    /// /tmp/sweepd/iox2]
-    #[arg(long, value_name = "DIR")]
-    root: Option<PathBuf>,
-}
 
 /// Exit code where only other parameters help, so that a supervisor need not retry (sysexits.h).
 const EX_CONFIG: u8 = 78;
@@ -108,13 +63,6 @@ fn main() -> ExitCode {
             log::error(failure.what);
             ExitCode::from(failure.code)
         }
-    }
-}
-
-fn sensor_name(name: &str) -> Result<String, String> {
-    match is_sensor_name(name) {
-        true => Ok(name.to_owned()),
-        false => Err(format!("a sensor's name has {NAME_RULE}")),
     }
 }
 

@@ -1,5 +1,6 @@
 //! The program from outside: its errors, its exit codes, its end.
 
+use std::io::{BufRead, BufReader, Read};
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
@@ -78,6 +79,15 @@ fn what_is_wrong_is_one_line_and_an_exit_code() {
     }
 }
 
+/// Whether SIGTERM and SIGINT no longer kill a process at once.
+fn handles_signals(pid: u32) -> bool {
+    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
+    let mut lines = status.lines();
+    let mask = lines.find_map(|line| line.strip_prefix("SigCgt:")).unwrap();
+    let both = 1 << 14 | 1 << 1;
+    u64::from_str_radix(mask.trim(), 16).unwrap() & both == both
+}
+
 #[test]
 fn it_waits_for_a_daemon_and_ends_when_told() {
     let folder = tempfile::tempdir().unwrap();
@@ -89,7 +99,15 @@ fn it_waits_for_a_daemon_and_ends_when_told() {
             .stderr(Stdio::piped())
             .spawn()
             .unwrap();
-        std::thread::sleep(Duration::from_millis(500));
+        let mut stderr = BufReader::new(child.stderr.take().unwrap());
+        let mut said = String::new();
+        stderr.read_line(&mut said).unwrap();
+        let begun = Instant::now();
+        while !handles_signals(child.id()) {
+            assert!(begun.elapsed() < Duration::from_secs(20), "{said}");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        std::thread::sleep(Duration::from_millis(300));
         assert!(child.try_wait().unwrap().is_none(), "it waits");
         let begun = Instant::now();
         let pid = child.id().to_string();
@@ -100,15 +118,14 @@ fn it_waits_for_a_daemon_and_ends_when_told() {
                 .unwrap()
                 .success()
         );
-        let output = child.wait_with_output().unwrap();
+        stderr.read_to_string(&mut said).unwrap();
         assert!(
-            output.status.success() && begun.elapsed() < Duration::from_secs(3),
+            child.wait().unwrap().success() && begun.elapsed() < Duration::from_secs(3),
             "{signal}"
         );
         assert!(
-            said(&output).starts_with("info: node /robot/sweepd on ROS domain 141"),
-            "{}",
-            said(&output)
+            said.starts_with("info: node /robot/sweepd on ROS domain 141"),
+            "{said}"
         );
     }
 }

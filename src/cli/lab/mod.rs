@@ -16,9 +16,9 @@ use super::CliError;
 pub enum Command {
     /// Segment point clouds that have no packets: KITTI, nuScenes, PCD, PLY
     Segment(Box<segment::Args>),
-    /// Say how good labels are, against scans that people labelled (SemanticKITTI)
+    /// Score labels against the ground truth of labelled scans (SemanticKITTI)
     Score(Box<score::Args>),
-    /// Be a sensor that is not there: send its packets, or write them to a capture
+    /// Simulate sensors: send their packets, or write them to a capture
     Simulate(Box<simulate::Args>),
 }
 

@@ -17,8 +17,8 @@ records what the daemon receives.
 
 With --mcap, this program records the sweeps that the daemon shares, not its packets: points, boxes of \
 the segments, and where the sensor sits, as messages of ROS 2. A sweep is on the disk about a second \
-after it came. A file is FILE.part until it has its end; one that a kill left so is mended when the \
-next recording to that name begins.
+after it came. A file is called FILE.part while it is being written; if a kill leaves one, the next \
+recording to that name repairs it.
 
 Examples:
   sweepd record -o drive.pcap
@@ -28,11 +28,11 @@ Examples:
   sweepd record -o roof.pcap --from roof
   sweepd record --mcap roof.mcap --from roof --rotate-seconds 60")]
 pub struct Args {
-    /// Write there: NAME.pcap or NAME.pcap.gz; with --force as NAME.pcap.part until it ends
+    /// File to write: NAME.pcap or NAME.pcap.gz; with --force it is NAME.pcap.part until it ends
     #[arg(short, long, value_name = "FILE", required_unless_present = "mcap")]
     pub(super) output: Option<PathBuf>,
-    /// Write the sweeps that the daemon of --from shares there, and no packets: NAME.mcap, for
-    /// Foxglove and ros2 bag; this program must run as the daemon's user
+    /// File to write sweeps to instead of packets: NAME.mcap, for Foxglove and ros2 bag; it gets those
+    /// that the daemon shares of the sensor of --from, and must run as the daemon's user
     #[arg(long, value_name = "FILE", requires = "from", conflicts_with_all = ["output", "sensor"])]
     pub(super) mcap: Option<PathBuf>,
     #[command(flatten)]

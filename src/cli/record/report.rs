@@ -90,7 +90,7 @@ impl Report {
         if others > 0 {
             writeln!(
                 to,
-                "  others       {} of so many senders that they have no line here",
+                "  others       {} of further senders, not listed",
                 count_of(others, "data packet")
             )?;
         }

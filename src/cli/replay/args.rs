@@ -34,6 +34,11 @@ pub struct Args {
     segment: SegmentOptions,
     #[command(flatten)]
     pub(super) output: OutputOptions,
+    /// Print objects as they become complete while the head turns: one JSON line each on standard
+    /// output, with the arrival time of the packet that completed it, and one line for each sweep
+    /// with the labels of its objects; uses one thread
+    #[arg(long, conflicts_with = "json", help_heading = "Output")]
+    pub(super) objects: bool,
     #[command(flatten)]
     pub(super) play: PlayOptions,
     #[command(flatten)]
@@ -44,6 +49,11 @@ impl Args {
     /// The pipeline that each sensor gets.
     pub(super) fn pipeline_config(&self) -> Result<Config, CliError> {
         pipeline_config(&self.sensor, &self.segment)
+    }
+
+    /// Whether standard output is for programs.
+    pub(super) fn is_piped(&self) -> bool {
+        self.objects || self.output.is_piped()
     }
 
     /// The clock that times the stages, nanoseconds; it stands still where times are left out.

@@ -63,9 +63,10 @@ impl Round<'_> {
 
 impl<'a> Playback<'a> {
     pub(super) fn new(args: &'a Args) -> Result<Self, CliError> {
-        // Where there is time, or sweeps are shared, one job does as the daemon does.
+        // Where there is time, or sweeps are shared, one job does as the daemon does; so it does
+        // where objects are told.
         let is_shared = args.publish.is_wanted();
-        let is_live = args.play.speed(is_shared) != Speed::Max || is_shared;
+        let is_live = args.play.speed(is_shared) != Speed::Max || is_shared || args.objects;
         Ok(Self {
             args,
             config: args.pipeline_config()?,
@@ -138,7 +139,7 @@ impl<'a> Playback<'a> {
                 return Ok(Some(sweep));
             }
             while let Some(track) = self.tracks.get_mut(round.track) {
-                if let Some(sweep) = track.next_sweep() {
+                if let Some(sweep) = track.next_sweep()? {
                     return Ok(Some(sweep));
                 }
                 round.track += 1;
@@ -175,10 +176,11 @@ impl<'a> Playback<'a> {
         let now_ns = arrival_ns.min(round.before_ns);
         round.before_ns = arrival_ns;
         for track in &mut self.tracks {
+            track.now_ns = arrival_ns;
             if track.pipeline.tick(now_ns) {
-                round
-                    .silent
-                    .extend(std::iter::from_fn(|| track.next_sweep()));
+                while let Some(sweep) = track.next_sweep()? {
+                    round.silent.push_back(sweep);
+                }
             }
         }
         self.datagram(&placed, when)

@@ -8,9 +8,9 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use super::args::Args;
 use crate::capture::{Capture, CaptureError};
 
-/// A progress bar; silent where standard error is no terminal, and where JSON comes out beside it.
+/// A progress bar; silent where standard error is no terminal, and where output for programs comes out beside it.
 pub(super) fn bar(args: &Args) -> ProgressBar {
-    if args.output.is_json() && io::stdout().is_terminal() {
+    if args.is_piped() && io::stdout().is_terminal() {
         return ProgressBar::hidden();
     }
     let template = "{wide_bar} {percent:>3} %  {binary_bytes} of {binary_total_bytes}, {eta} to go";

@@ -5,11 +5,13 @@ use indicatif::ProgressBar;
 use super::args::Args;
 use super::summary::{SensorReport, Sums};
 use super::sweeps::{JobBuffers, Sweep};
+use crate::cli::objects::ObjectLines;
 use crate::cli::output::SweepId;
 use crate::cli::{CliError, complain};
 use crate::text::count_of;
 use sweepd_client::host::realtime_ns;
 use sweepd_core::pipeline::{Config, Counts, Fault, Notice, Pipeline};
+use sweepd_core::segment::objects::MAX_WIDTH_RAD;
 use sweepd_core::sensor::compare::Difference;
 use sweepd_core::sensor::detect::Detection;
 use sweepd_core::sweep::layout::flags;
@@ -35,6 +37,10 @@ pub(super) struct Track<'a> {
     emitted: u64,
     /// Of the rounds before.
     past: Counts,
+    /// Prints objects, if that was asked for.
+    objects: Option<ObjectLines>,
+    /// Arrival of the newest datagram of the capture.
+    pub(super) now_ns: i64,
     pub(super) fault: Option<String>,
 }
 
@@ -64,6 +70,8 @@ impl<'a> Track<'a> {
             detection: None,
             emitted: 0,
             past: Counts::default(),
+            objects: args.objects.then(ObjectLines::default),
+            now_ns: 0,
             fault: None,
         })
     }
@@ -120,12 +128,16 @@ impl<'a> Track<'a> {
         }
     }
 
-    /// The next sweep that is whole.
-    pub(super) fn next_sweep(&mut self) -> Option<Sweep> {
+    /// The next sweep that is whole. Prints the objects that became known, with --objects.
+    ///
+    /// # Errors
+    /// [`CliError::Stdout`].
+    pub(super) fn next_sweep(&mut self) -> Result<Option<Sweep>, CliError> {
         while let Some(buffer) = match self.has_labels {
             true => self.pipeline.poll(&mut self.memory),
             false => self.pipeline.poll_unlabelled(&mut self.memory),
         } {
+            self.print_objects()?;
             let Ok(sweep) = SweepRef::open(buffer.as_ref()) else {
                 continue;
             };
@@ -139,14 +151,27 @@ impl<'a> Track<'a> {
                 seq: self.emitted,
             };
             self.emitted += u64::from(is_emitted);
-            return Some(Sweep {
+            return Ok(Some(Sweep {
                 id,
                 is_emitted,
                 run_ns: self.run_ns,
                 buffer,
-            });
+            }));
         }
-        None
+        if self.objects.is_some() {
+            self.segment_early();
+            self.print_objects()?;
+        }
+        Ok(None)
+    }
+
+    fn print_objects(&mut self) -> Result<(), CliError> {
+        if let Some(lines) = &mut self.objects
+            && let Some(told) = self.pipeline.told()
+        {
+            lines.print(&self.name, &told, self.now_ns)?;
+        }
+        Ok(())
     }
 
     /// Shows a fault at once, since a replay may take long; the same one only once, since it may
@@ -164,7 +189,11 @@ impl<'a> Track<'a> {
 
 fn pipeline(args: &Args, name: &str, config: &Config) -> Result<Pipeline, CliError> {
     match Pipeline::new(name, config.clone()) {
-        Ok(pipeline) => Ok(pipeline.timed_by(args.clock())),
+        Ok(pipeline) => {
+            let mut pipeline = pipeline.timed_by(args.clock());
+            pipeline.listen(args.objects.then_some(MAX_WIDTH_RAD));
+            Ok(pipeline)
+        }
         Err(error) => Err(CliError::Usage(error.to_string())),
     }
 }

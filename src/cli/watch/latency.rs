@@ -53,30 +53,45 @@ impl Latencies {
     /// What writing gives.
     pub fn print(mut self, out: &mut impl Write) -> io::Result<()> {
         for ((name, what), times) in STAGES.iter().zip(&mut self.stages) {
-            times.sort_by(f64::total_cmp);
-            writeln!(out, "\n{name}: {what}")?;
-            let (Some(least), Some(most)) = (times.first(), times.last()) else {
-                writeln!(
-                    out,
-                    "  not known: no sweep, or one of a capture that is replayed"
-                )?;
-                continue;
-            };
-            let half = quantile(times, 0.5);
-            let p90 = quantile(times, 0.9);
-            let p99 = quantile(times, 0.99);
-            let count = times.len();
-            writeln!(
-                out,
-                "  {count} sweeps, microseconds: least {least:.1}, median {half:.1}, p90 {p90:.1}, p99 {p99:.1}, most {most:.1}"
-            )?;
-            for (from, to, count) in buckets(times) {
-                let bar = "#".repeat((count * BAR).div_ceil(times.len() as u64) as usize);
-                writeln!(out, "  {from:>9.0} .. {to:<9.0} {count:>7}  {bar}")?;
-            }
+            print_histogram(out, name, what, "sweeps", times)?;
         }
         out.flush()
     }
+}
+
+/// Shows a histogram of times of things, microseconds.
+///
+/// # Errors
+/// What writing gives.
+pub fn print_histogram(
+    out: &mut impl Write,
+    name: &str,
+    what: &str,
+    things: &str,
+    times: &mut [f64],
+) -> io::Result<()> {
+    times.sort_by(f64::total_cmp);
+    writeln!(out, "\n{name}: {what}")?;
+    let (Some(least), Some(most)) = (times.first(), times.last()) else {
+        let thing = things.trim_end_matches('s');
+        return writeln!(
+            out,
+            "  not known: no {thing}, or one of a capture that is replayed"
+        );
+    };
+    let half = quantile(times, 0.5);
+    let p90 = quantile(times, 0.9);
+    let p99 = quantile(times, 0.99);
+    let count = times.len();
+    writeln!(
+        out,
+        "  {count} {things}, microseconds: least {least:.1}, median {half:.1}, p90 {p90:.1}, p99 {p99:.1}, most {most:.1}"
+    )?;
+    for (from, to, count) in buckets(times) {
+        let bar = "#".repeat((count * BAR).div_ceil(times.len() as u64) as usize);
+        writeln!(out, "  {from:>9.0} .. {to:<9.0} {count:>7}  {bar}")?;
+    }
+    Ok(())
 }
 
 /// The value that this share of the sorted values does not exceed.

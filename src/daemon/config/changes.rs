@@ -86,12 +86,14 @@ const SENSOR: &[ReloadRule<SensorConfig>] = &[
     setting!(Restart "realtime_priority", port.realtime_priority, |priority: &Option<_>| or("none", priority)),
     setting!(Restart "position_port", position_port, text),
     setting!(Restart "max_consumers", max_consumers, text),
+    setting!(Restart "objects_every_ms", objects.every_ns, |ns: &i64| (ns / 1_000_000).to_string()),
+    setting!(Restart "max_object_deg", objects.max_width_rad, |width: &f32| degrees((*width).into())),
     setting!(Restart "returns", dual, |dual: &Option<bool>| {
         or("told by the packets", &dual.map(|dual| if dual { "dual" } else { "single" }))
     }),
     setting!(Restart "model", pipeline.model, |model: &Option<_>| or("told by the packets", model)),
     setting!(Reload "calibration", pipeline.calibration, |given: &Option<_>| presence("the sensor's own", given)),
-    setting!(Reload "rpm", rpm, |rpm: &Option<_>| or("not watched", rpm)),
+    setting!(Reload "want", want, text),
     setting!(Reload "loss_warning_percent", losses.warning, percent),
     setting!(Reload "loss_fault_percent", losses.fault, percent),
     setting!(Reload "cut_azimuth_deg", pipeline.cut_azimuth_rad, |angle: &f64| degrees(*angle)),

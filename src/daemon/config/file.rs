@@ -97,11 +97,13 @@ pub struct Sensor {
     pub dual: Option<Spanned<bool>>,
     pub return_choice: Option<Spanned<ReturnChoice>>,
     pub cut_azimuth_deg: Option<Spanned<f64>>,
-    pub rpm: Option<Spanned<f64>>,
     pub gps_without_pps: bool,
     pub loss_warning_percent: Option<Spanned<f64>>,
     pub loss_fault_percent: Option<Spanned<f64>>,
     pub max_consumers: Option<Spanned<i64>>,
+    pub objects_every_ms: Option<Spanned<i64>>,
+    pub max_object_deg: Option<Spanned<f64>>,
+    pub want: Want,
     pub mount: Mount,
     pub segment: Segment,
 }
@@ -147,16 +149,44 @@ impl Sensor {
             dual: table.choice("returns", &returns),
             return_choice: table.choice("return", &choices),
             cut_azimuth_deg: table.number("cut_azimuth_deg"),
-            rpm: table.number("rpm"),
             gps_without_pps: table.flag("gps_without_pps"),
             loss_warning_percent: table.number("loss_warning_percent"),
             loss_fault_percent: table.number("loss_fault_percent"),
             max_consumers: table.whole("max_consumers"),
+            objects_every_ms: table.whole("objects_every_ms"),
+            max_object_deg: table.number("max_object_deg"),
+            want: table.table("want", Want::read).unwrap_or_default(),
             mount: table.table("mount", Mount::read).unwrap_or_default(),
             segment: table.table("segment", Segment::read).unwrap_or_default(),
         };
         table.finish();
         sensor
+    }
+}
+
+/// `[sensor.want]`.
+#[derive(Default)]
+pub struct Want {
+    pub rpm: Option<Spanned<i64>>,
+    pub returns: Option<Spanned<String>>,
+    pub fov: Option<Spanned<String>>,
+    pub laser: Option<Spanned<String>>,
+    pub host: Option<Spanned<String>>,
+    pub phase_lock: Option<Spanned<String>>,
+}
+
+impl Want {
+    fn read(mut table: TableReader<'_, '_, '_>) -> Self {
+        let want = Self {
+            rpm: table.whole("rpm"),
+            returns: table.text("returns"),
+            fov: table.text("fov"),
+            laser: table.text("laser"),
+            host: table.text("host"),
+            phase_lock: table.text("phase_lock"),
+        };
+        table.finish();
+        want
     }
 }
 

@@ -3,9 +3,10 @@
 use std::ops::RangeInclusive;
 
 use super::{SensorConfig, possible_models};
-use sweepd_client::publish::pool_sweeps;
+use sweepd_client::publish::{Topic, pool_sweeps};
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::layout::Shape;
+use sweepd_core::sweep::objects::MESSAGE_BYTES;
 
 /// Bytes of a sweep of this sensor. Where its packets are to tell the model or the return mode,
 /// from the least of what it may be to the most.
@@ -40,6 +41,11 @@ pub fn pool_bytes(sensor: &SensorConfig) -> RangeInclusive<u64> {
     let sweeps = pool_sweeps(sensor.max_consumers) as u64;
     let bytes = sweep_bytes(sensor);
     sweeps * *bytes.start() as u64..=sweeps * *bytes.end() as u64
+}
+
+/// Bytes of shared memory that its objects take, where somebody listens.
+pub fn objects_bytes(sensor: &SensorConfig) -> u64 {
+    Topic::Objects.pool_bytes(sensor.max_consumers, MESSAGE_BYTES)
 }
 
 #[cfg(test)]

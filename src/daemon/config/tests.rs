@@ -62,8 +62,8 @@ fn two_lines_are_enough_for_a_sensor() {
         (&port, 8308, None)
     );
     assert_eq!(
-        (sensor.max_consumers, sensor.dual, sensor.rpm),
-        (4, None, None)
+        (sensor.max_consumers, sensor.dual, &sensor.want),
+        (4, None, &Settings::default())
     );
     // Whatever the command line takes by default, the file does.
     assert_eq!(
@@ -114,7 +114,7 @@ fn every_key_arrives_where_it_belongs() {
         returns = "dual"
         return = "last"
         cut_azimuth_deg = 180
-        rpm = 600
+        want = { rpm = 600, returns = "dual", fov = "270-90", laser = "on", host = "192.168.1.100", phase_lock = "180" }
         loss_warning_percent = 1.5
         loss_fault_percent = 12
         max_consumers = 2
@@ -151,7 +151,11 @@ fn every_key_arrives_where_it_belongs() {
         }
     );
     assert_eq!((sensor.position_port, sensor.max_consumers), (8309, 2));
-    assert_eq!((sensor.dual, sensor.rpm), (Some(true), Some(600.0)));
+    assert_eq!(sensor.dual, Some(true));
+    assert_eq!(
+        sensor.want.to_string(),
+        "laser on, returns dual, rpm 600, fov 270-90, phase-lock 180, host 192.168.1.100"
+    );
     assert_eq!(
         sensor.losses,
         Limits {
@@ -257,7 +261,39 @@ fn what_cannot_be_meant_is_shown_with_its_line_and_a_cure() {
             "cut_azimuth_deg = nan",
             &["`cut_azimuth_deg` cannot be NaN", "-360 to 360 degrees"],
         ),
-        ("rpm = 299.9", &["expected 300 to 1200 turns a minute"]),
+        (
+            "want.rpm = 299",
+            &["`rpm` cannot be 299", "expected 300 to 1200"],
+        ),
+        (
+            "want.rpm = 610",
+            &["`rpm` cannot be 610", "expected a multiple of 60"],
+        ),
+        (
+            "want.returns = \"both\"",
+            &["expected strongest, last or dual"],
+        ),
+        (
+            "want.fov = \"0-360\"",
+            &["`fov` cannot be \"0-360\"", "0 to 359"],
+        ),
+        ("want.laser = true", &["wrong type", "expected a string"]),
+        (
+            "want.host = \"127.0.0.1\"",
+            &["that the sensor can send to"],
+        ),
+        ("want.phase_lock = \"on\"", &["expected off, or an azimuth"]),
+        (
+            "want.rmp = 600",
+            &["unknown key `rmp`", "did you mean `rpm`?"],
+        ),
+        (
+            "model = \"hdl64e-s3\"\nwant.laser = \"on\"",
+            &[
+                "`laser` of an HDL-64E cannot be read",
+                "it has no web interface",
+            ],
+        ),
         ("loss_warning_percent = 0", &["expected 0.1 to 100 percent"]),
         (
             "loss_fault_percent = 5\nloss_warning_percent = 6",
@@ -269,6 +305,8 @@ fn what_cannot_be_meant_is_shown_with_its_line_and_a_cure() {
         ),
         ("max_consumers = 17", &["expected 1 to 16"]),
         ("max_consumers = 0", &["expected 1 to 16"]),
+        ("objects_every_ms = 0", &["expected 1 to 100"]),
+        ("max_object_deg = 4.9", &["expected 5 to 360 degrees"]),
         (
             "mount = { x_m = 1e9 }",
             &["`x_m` cannot be 1000000000", "metres"],
@@ -403,7 +441,7 @@ fn health_is_for_this_host_alone_unless_it_is_said() {
 fn all_that_is_wrong_is_said_at_once_in_the_order_of_the_lines() {
     let text = format!(
         "{}[record]\npath = \"x\"\n",
-        roof("port = 0\nrpm = 1\n[[sensor]]\nname = \"roof\"\naddress = \"x\"\n")
+        roof("port = 0\nwant.rpm = 1\n[[sensor]]\nname = \"roof\"\naddress = \"x\"\n")
     );
     let (lines, message) = bad(&format!("http = \"x\"\n{text}"));
     assert_eq!(lines, [1, 5, 6, 8, 9, 11], "{message}");
@@ -426,7 +464,7 @@ fn all_that_is_wrong_is_said_at_once_in_the_order_of_the_lines() {
 /// from others, which are none.
 #[test]
 fn keys_types_and_values_are_all_shown_at_once() {
-    let text = "colour = 1\nhttp = 9177\n[[sensor]]\nname = 7\naddress = \"10.0.0.1\"\nprot = 1\nport = \"a\"\nrpm = 1\n\
+    let text = "colour = 1\nhttp = 9177\n[[sensor]]\nname = 7\naddress = \"10.0.0.1\"\nprot = 1\nport = \"a\"\nwant.rpm = 1\n\
                 [sensor.segment]\ntheta = 1\nmin_points = 0\n[[sensor]]\nname = \"b\"\n[[sensor]]\naddress = \"x\"\n\
                 returns = \"triple\"\n";
     let (lines, message) = bad(text);
@@ -441,7 +479,7 @@ fn keys_types_and_values_are_all_shown_at_once() {
         "wrong type: integer `7`",
         "did you mean `port`?",
         "expected a whole number",
-        "expected 300 to 1200 turns a minute",
+        "expected 300 to 1200",
         "did you mean `theta_deg`?",
         "`min_points` cannot be 0",
         "missing key `address`",
@@ -597,21 +635,25 @@ fn a_reload_says_what_it_takes_over_and_what_waits() {
     assert_eq!(
         said(&three(
             "segment = { theta_deg = 12.5, min_points = 5 }",
-            "rpm = 600",
+            "want.rpm = 600",
             ""
         )),
         [
             "sensor roof: theta_deg 10 -> 12.5",
             "sensor roof: min_points 10 -> 5",
-            "sensor left: rpm not watched -> 600"
+            "sensor left: want none -> rpm 600"
         ]
     );
     assert_eq!(
-        said(&three("port = 2370\nmax_consumers = 3\nrpm = 600", "", "")),
+        said(&three(
+            "port = 2370\nmax_consumers = 3\nwant.rpm = 600",
+            "",
+            ""
+        )),
         [
             "sensor roof: port 2368 -> 2370 needs a restart",
             "sensor roof: max_consumers 4 -> 3 needs a restart",
-            "sensor roof: rpm not watched -> 600",
+            "sensor roof: want none -> rpm 600",
         ]
     );
     assert_eq!(
@@ -648,11 +690,14 @@ fn no_setting_changes_without_a_word() {
         "returns = \"dual\"",
         "return = \"strongest\"",
         "cut_azimuth_deg = 1",
-        "rpm = 1200",
+        "want = { rpm = 1200 }",
+        "want = { fov = \"270-90\" }",
         "gps_without_pps = true",
         "loss_warning_percent = 5",
         "loss_fault_percent = 50",
         "max_consumers = 5",
+        "objects_every_ms = 10",
+        "max_object_deg = 90",
         "mount = { x_m = 1 }",
         "mount = { yaw_deg = 1 }",
         "mount = { pitch_deg = 1 }",
@@ -685,7 +730,7 @@ fn no_setting_changes_without_a_word() {
         assert_eq!(old.changes(&running).len(), 1 - left, "{line}");
     }
     // A calibration is that of the new model, so it waits with it; the rest does not.
-    let other = parse("model = \"hdl32e\"\ncalibration = \"hdl32e.yaml\"\nrpm = 600");
+    let other = parse("model = \"hdl32e\"\ncalibration = \"hdl32e.yaml\"\nwant.rpm = 600");
     let waits: Vec<bool> = old
         .changes(&other)
         .iter()
@@ -698,10 +743,10 @@ fn no_setting_changes_without_a_word() {
     );
     assert_eq!(
         (
-            running.sensors[0].rpm,
+            running.sensors[0].want.to_string().as_str(),
             &running.sensors[0].pipeline.calibration
         ),
-        (Some(600.0), &None)
+        ("rpm 600", &None)
     );
     // A setting that is added to the configuration must be added to those that are compared: this
     // stops compiling.
@@ -712,8 +757,9 @@ fn no_setting_changes_without_a_word() {
         port: _,
         position_port: _,
         max_consumers: _,
+        objects: _,
         dual: _,
-        rpm: _,
+        want: _,
         losses: _,
         pipeline,
     } = old.sensors[0].clone();

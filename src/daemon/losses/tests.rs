@@ -274,7 +274,7 @@ fn the_cause_follows_from_what_was_counted() {
     })
     .sentence(&place(3));
     assert!(
-        shared.contains("port 2368, which 3 sensors share, since nobody fetched them"),
+        shared.contains("port 2368, which 3 sensors share, because the daemon did not fetch them"),
         "{shared}"
     );
     let unknown = SensorAddress {

@@ -49,7 +49,7 @@ pub(super) fn find(seen: &Observations, findings: &mut Findings) {
         if sensor.fault.is_none() {
             check.speed();
             check.loss(seen);
-            check.settings();
+            check.settings(seen.web_at(sensor.source.ip()).is_some());
             check.beams();
             check.clock(seen.position_sender(sensor.source.ip()));
         }
@@ -140,7 +140,8 @@ impl SensorCheck<'_> {
 
     fn model(&mut self) {
         if let Some(fault) = &self.sensor.fault {
-            let cure = "sweepd decodes VLP-16, Puck LITE and Hi-Res, HDL-32E and HDL-64E";
+            let cure = "sweepd decodes VLP-16, Puck LITE and Hi-Res, VLP-32C, HDL-32E, HDL-64E S2, S2.1 and S3, \
+                        and VLS-128";
             return self.error(Topic::Model, fault, cure);
         }
         let configured = self.expected.and_then(|expected| expected.model);
@@ -184,16 +185,17 @@ impl SensorCheck<'_> {
         let (Some((least, most)), Some(mean)) = (self.sensor.rpm, self.sensor.mean_rpm()) else {
             return;
         };
-        let set = self.expected.and_then(|expected| expected.rpm);
+        let set = self.expected.and_then(|expected| expected.want.rpm);
+        let set = set.map(|rpm| f32::from(rpm.0));
         if most - least > STEADY_SHARE * mean {
             let what = format!("the speed is not steady, {least:.0} to {most:.0} rpm");
             let cure =
                 "wait until it has spun up; if it stays so, the supply is weak or the bearing worn";
             self.warning(Topic::Speed, what, cure);
         } else if let Some(set) = set.filter(|set| (mean - set).abs() > SPEED_SHARE * set) {
-            let what = format!("turns at {mean:.0} rpm, configured are {set:.0}");
+            let what = format!("turns at {mean:.0} rpm, [sensor.want] says {set:.0}");
             let cure =
-                "set the Motor RPM on its web page and press Save, or correct the configuration";
+                "set it (`sweepd sensor`, or Motor RPM on its web page), or correct [sensor.want]";
             self.warning(Topic::Speed, what, cure);
         } else if !SPEEDS.contains(&mean) {
             let what = format!("turns at {mean:.0} rpm; sensors are made for 300 to 1200");
@@ -232,7 +234,16 @@ impl SensorCheck<'_> {
         }
     }
 
-    fn settings(&mut self) {
+    fn settings(&mut self, has_web: bool) {
+        // Its web interface says more exactly what it is set to.
+        if let (Some(expected), Some(mode), false) =
+            (self.expected, self.sensor.return_mode, has_web)
+        {
+            for (_, what) in expected.want.unlike(mode, self.sensor.fov) {
+                let cure = "set it (`sweepd sensor`, or its web page), or correct [sensor.want]";
+                self.warning(Topic::Settings, what, cure);
+            }
+        }
         let is_dual = self.sensor.return_mode == Some(ReturnMode::Dual);
         if is_dual
             && self
@@ -242,10 +253,14 @@ impl SensorCheck<'_> {
             self.warning(
                 Topic::Returns,
                 "sends two returns, configured is one",
-                "set Return Type on its web page and press Save, or `dual = true`: two need twice the shared memory",
+                "set Return Type on its web page and press Save, or set `returns = \"dual\"` in the \
+                 configuration: two take 1.6 times the shared memory",
             );
         }
-        if self.sensor.has(flags::BLANKED) {
+        let is_wanted = self
+            .expected
+            .is_some_and(|expected| expected.want.fov.is_some());
+        if self.sensor.has(flags::BLANKED) && !is_wanted {
             self.note(
                 Topic::View,
                 "its field of view is limited; it sends nothing from a sector of each turn",

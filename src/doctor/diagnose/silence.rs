@@ -6,6 +6,7 @@ use super::{Findings, elements, serves};
 use crate::doctor::Topic;
 use crate::doctor::observe::{Interface, Observations, PortResult, Web};
 use crate::doctor::plan::ExpectedSensor;
+use crate::sensor_settings::Switch;
 
 pub(super) fn find(seen: &Observations, findings: &mut Findings) {
     // A daemon reports itself what it receives.
@@ -45,7 +46,7 @@ fn misplaced(seen: &Observations, expected: &ExpectedSensor, findings: &mut Find
             "{}: sends from {} to port {}, not as configured from {source_port} to port {}",
             expected.name, elsewhere.source, elsewhere.port, expected.port
         );
-        let cure = "correct `port` or `source_port` in the configuration, or the sensor's";
+        let cure = "correct `port`, or the port in `address`, in the configuration, or the ports that the sensor uses";
         findings.error(Topic::Silent, what, cure);
     }
 }
@@ -86,11 +87,13 @@ fn is_heard_by_daemon(seen: &Observations, address: IpAddr) -> bool {
 fn position_only(seen: &Observations, address: IpAddr, packets: u64, findings: &mut Findings) {
     let web = seen.web_at(address);
     let ports = seen.port_list();
-    let lasers_on = web.and_then(|web| web.lasers_on);
-    let data_port = web.and_then(|web| web.data_port);
-    let cure = if lasers_on == Some(false) {
-        format!("its lasers are off: switch them on at http://{address}/ and press Save")
-    } else if let Some(port) = data_port.filter(|&port| !seen.has_port(port)) {
+    let laser = web.and_then(|web| web.page.settings.laser);
+    let data_port = web.and_then(|web| web.page.settings.data_port);
+    let cure = if laser == Some(Switch(false)) {
+        format!(
+            "its lasers are off: `sweepd sensor {address} set --laser on --save --yes` switches them on"
+        )
+    } else if let Some(port) = data_port.filter(|port| !seen.has_port(port.0)) {
         format!(
             "it sends data to port {port}: set Data Port to one of {ports} at http://{address}/, or listen there"
         )

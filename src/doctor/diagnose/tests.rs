@@ -10,6 +10,10 @@ use crate::doctor::observe::{
     Host, Interface, ObservedPort, ObservedSensor, PositionSender, RootTrouble, Web,
 };
 use crate::doctor::plan::{ExaminedPort, ExpectedSensor, HEALTH, Plan};
+use crate::sensor_settings::{
+    FieldOfView, Host as Destination, PhaseLock, Port, Returns, Rpm, Settings, Switch,
+};
+use crate::web_interface::Page;
 use sweepd_core::pipeline::{Counts, DarkBeam};
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::layout::flags;
@@ -65,7 +69,10 @@ fn healthy() -> Observations {
         source_port: None,
         port: 2368,
         model: Some(Model::Vlp16),
-        rpm: Some(600.0),
+        want: Settings {
+            rpm: Some(Rpm(600)),
+            ..Settings::default()
+        },
         dual: Some(false),
         max_consumers: 4,
         min_points: 10,
@@ -108,15 +115,20 @@ fn healthy() -> Observations {
 fn web() -> Web {
     Web {
         address: ADDRESS,
-        rpm: Some(600.0),
-        measured_rpm: Some(600.0),
-        returns: Some("Strongest".to_owned()),
-        view_deg: Some((0.0, 359.0)),
-        destination: Some(Ipv4Addr::BROADCAST),
-        data_port: Some(2368),
-        position_port: Some(8308),
-        lasers_on: Some(true),
-        pps: Some("Locked".to_owned()),
+        page: Page {
+            settings: Settings {
+                rpm: Some(Rpm(600)),
+                returns: Some(Returns(ReturnMode::Strongest)),
+                fov: Some(FieldOfView::WHOLE),
+                laser: Some(Switch(true)),
+                host: Some(Destination(Ipv4Addr::BROADCAST)),
+                data_port: Some(Port(2368)),
+                position_port: Some(Port(8308)),
+                phase_lock: Some(PhaseLock::Off),
+            },
+            measured_rpm: Some(600.0),
+            pps: Some("Locked".to_owned()),
+        },
     }
 }
 
@@ -226,10 +238,8 @@ fn silence_comes_with_what_to_check() {
 #[test]
 fn a_sensor_that_sends_elsewhere_is_caught_by_its_web_page() {
     let mut seen = silent();
-    seen.web = vec![Web {
-        destination: Some(Ipv4Addr::new(192, 168, 1, 77)),
-        ..web()
-    }];
+    seen.web = vec![web()];
+    seen.web[0].page.settings.host = Some(Destination(Ipv4Addr::new(192, 168, 1, 77)));
     let findings = diagnose(&seen);
     assert_eq!(findings.len(), 2, "{findings:#?}");
     holds(
@@ -248,27 +258,24 @@ fn a_sensor_that_sends_elsewhere_is_caught_by_its_web_page() {
             OWN.to_string().as_str(),
         ],
     );
-    seen.web = vec![Web {
-        data_port: Some(2370),
-        ..web()
-    }];
+    seen.web = vec![web()];
+    seen.web[0].page.settings.data_port = Some(Port(2370));
     holds(
         &diagnose(&seen)[1],
         Severity::Error,
         Topic::Destination,
         &["to port 2370; listened on was 2368, 8308"],
     );
-    seen.web = vec![Web {
-        destination: Some(Ipv4Addr::new(239, 1, 2, 3)),
-        ..web()
-    }];
+    seen.web = vec![web()];
+    seen.web[0].page.settings.host = Some(Destination(Ipv4Addr::new(239, 1, 2, 3)));
     holds(
         &diagnose(&seen)[1],
         Severity::Error,
         Topic::Destination,
         &["--multicast 239.1.2.3"],
     );
-    let telemetry = |seen: &mut Observations| seen.web[0].position_port = Some(8309);
+    let telemetry =
+        |seen: &mut Observations| seen.web[0].page.settings.position_port = Some(Port(8309));
     with(
         telemetry,
         Severity::Warning,
@@ -292,7 +299,7 @@ fn position_packets_alone_are_no_sensor() {
     );
     let dark = |seen: &mut Observations| {
         seen.sensors.clear();
-        seen.web[0].lasers_on = Some(false);
+        seen.web[0].page.settings.laser = Some(Switch(false));
     };
     let mut seen = healthy();
     dark(&mut seen);
@@ -307,7 +314,7 @@ fn position_packets_alone_are_no_sensor() {
         &findings[1],
         Severity::Error,
         Topic::Lasers,
-        &["switch them on"],
+        &["switches them on"],
     );
 }
 
@@ -627,14 +634,14 @@ fn speeds_are_held_against_what_was_set() {
     let turns = |least, most| {
         move |seen: &mut Observations| {
             seen.sensors[0].rpm = Some((least, most));
-            seen.web[0].rpm = None;
+            seen.web[0].page.settings.rpm = None;
         }
     };
     with(
         turns(1190.0, 1200.0),
         Severity::Warning,
         Topic::Speed,
-        &["turns at 1195 rpm, configured are 600"],
+        &["turns at 1195 rpm, [sensor.want] says 600"],
     );
     with(
         turns(500.0, 600.0),
@@ -644,7 +651,7 @@ fn speeds_are_held_against_what_was_set() {
     );
     let mut seen = healthy();
     turns(120.0, 121.0)(&mut seen);
-    seen.plan.sensors[0].rpm = None;
+    seen.plan.sensors[0].want.rpm = None;
     is_only(&seen, Severity::Warning, Topic::Speed, &["300 to 1200"]);
     with(
         |seen| seen.sensors[0].flags |= flags::STOPPED,
@@ -653,11 +660,50 @@ fn speeds_are_held_against_what_was_set() {
         &["stands still"],
     );
     with(
-        |seen| seen.web[0].rpm = Some(1200.0),
+        |seen| {
+            seen.web[0].page.settings.rpm = Some(Rpm(1200));
+            seen.plan.sensors[0].want.rpm = None;
+        },
         Severity::Warning,
         Topic::Speed,
         &["set to 1200 rpm and turns at 600"],
     );
+}
+
+#[test]
+fn settings_other_than_wanted_are_told_with_the_command_that_sets_them() {
+    let want = |want: &'static str| {
+        move |seen: &mut Observations| {
+            let settings = &mut seen.plan.sensors[0].want;
+            match want {
+                "dual" => settings.returns = Some(Returns(ReturnMode::Dual)),
+                want => settings.fov = want.parse().ok(),
+            }
+        }
+    };
+    with(
+        want("dual"),
+        Severity::Warning,
+        Topic::Settings,
+        &[
+            "roof (192.168.1.201): returns is strongest, wanted is dual",
+            "`sweepd sensor 192.168.1.201 set --returns dual --yes`",
+        ],
+    );
+    // Without a web page, packets show it.
+    let mut seen = healthy();
+    seen.web.clear();
+    want("270-90")(&mut seen);
+    seen.sensors[0].fov = Some(FieldOfView::WHOLE);
+    let what = "measures from 0-359 degrees, wanted is 270-90";
+    is_only(&seen, Severity::Warning, Topic::Settings, &[what]);
+    // One that is as wanted is no news.
+    seen.sensors[0].flags = flags::BLANKED;
+    seen.sensors[0].fov = "270-89".parse().ok();
+    assert_eq!(diagnose(&seen), []);
+    seen.web = vec![web()];
+    seen.web[0].page.settings.fov = "270-90".parse().ok();
+    assert_eq!(diagnose(&seen), []);
 }
 
 #[test]
@@ -718,10 +764,10 @@ fn settings_of_the_sensor_are_reported() {
         &["field of view is limited"],
     );
     with(
-        |seen| seen.web[0].view_deg = Some((270.0, 91.0)),
+        |seen| seen.web[0].page.settings.fov = "270-91".parse().ok(),
         Severity::Note,
         Topic::View,
-        &["from 270 to 91 degrees"],
+        &["measure 270-91 degrees"],
     );
     with(
         |seen| seen.sensors[0].flags |= flags::REVERSED,

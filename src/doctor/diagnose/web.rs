@@ -3,6 +3,7 @@
 use super::Findings;
 use crate::doctor::Topic;
 use crate::doctor::observe::{Observations, ObservedSensor, Web};
+use crate::sensor_settings::{Port, Settings, Switch};
 use sweepd_core::sweep::layout::flags;
 
 /// Greatest deviation of a speed from its setting, as a share.
@@ -13,11 +14,41 @@ pub(super) fn find(seen: &Observations, findings: &mut Findings) {
         destination(seen, web, findings);
         ports(seen, web, findings);
         settings(seen, web, findings);
+        wanted(seen, web, findings);
+    }
+}
+
+/// Settings that are other than the configuration wants them.
+fn wanted(seen: &Observations, web: &Web, findings: &mut Findings) {
+    let address = web.address;
+    for expected in seen
+        .plan
+        .sensors
+        .iter()
+        .filter(|one| one.address == address)
+    {
+        let mut differences = expected.want.differences(&web.page.settings);
+        differences.retain(|one| one.found.is_some());
+        for one in &differences {
+            let found = one.found.as_deref().unwrap_or_default();
+            let what = format!(
+                "{} ({address}): {} is {found}, wanted is {}",
+                expected.name, one.name, one.wanted
+            );
+            let options = Settings::options(std::slice::from_ref(one));
+            let cure = format!(
+                "`sweepd sensor {address} set {options} --yes` sets it, with --save also for the next start; or correct \
+                 [sensor.want]"
+            );
+            findings.warning(Topic::Settings, what, cure);
+        }
     }
 }
 
 fn destination(seen: &Observations, web: &Web, findings: &mut Findings) {
-    let Some(to) = web.destination else { return };
+    let Some(to) = web.page.settings.host.map(|host| host.0) else {
+        return;
+    };
     let address = web.address;
     if to.is_multicast() {
         let mut joined = seen.ports.iter().filter_map(|port| port.plan.multicast);
@@ -47,12 +78,13 @@ fn destination(seen: &Observations, web: &Web, findings: &mut Findings) {
 fn ports(seen: &Observations, web: &Web, findings: &mut Findings) {
     let address = web.address;
     let ports = seen.port_list();
-    if let Some(port) = web.data_port.filter(|&port| !seen.has_port(port)) {
+    let is_deaf = |port: &Port| !seen.has_port(port.0);
+    if let Some(port) = web.page.settings.data_port.filter(is_deaf) {
         let what = format!("{address} sends its data to port {port}; listened on was {ports}");
         let cure = format!("listen there, or set another Data Port at http://{address}/ and Save");
         findings.error(Topic::Destination, what, cure);
     }
-    if let Some(port) = web.position_port.filter(|&port| !seen.has_port(port)) {
+    if let Some(port) = web.page.settings.position_port.filter(is_deaf) {
         let what =
             format!("{address} sends its position packets to port {port}; listened on was {ports}");
         let cure = format!(
@@ -65,28 +97,33 @@ fn ports(seen: &Observations, web: &Web, findings: &mut Findings) {
 fn settings(seen: &Observations, web: &Web, findings: &mut Findings) {
     let address = web.address;
     let sensor = seen.sensor_at(address.into());
-    if web.lasers_on == Some(false) {
+    if web.page.settings.laser == Some(Switch(false)) {
         let what = format!("the lasers of {address} are off");
-        let cure = format!("switch them on at http://{address}/ and press Save");
+        let cure =
+            format!("`sweepd sensor {address} set --laser on --save --yes` switches them on");
         findings.error(Topic::Lasers, what, cure);
     }
     let measured = sensor.and_then(ObservedSensor::mean_rpm).map(f64::from);
-    if let Some(set) = web.rpm
-        && let Some(turns) = measured.or(web.measured_rpm)
+    if let Some(set) = web.page.settings.rpm.map(|rpm| f64::from(rpm.0))
+        && let Some(turns) = measured.or(web.page.measured_rpm)
         && (turns - set).abs() > SPEED_SHARE * set
     {
         let what = format!("{address} is set to {set:.0} rpm and turns at {turns:.0}");
         let cure = "wait until it has spun up; if it stays so, look whether something holds it";
         findings.warning(Topic::Speed, what, cure);
     }
-    if let Some((start, end)) = web.view_deg
-        && (end - start).rem_euclid(360.0) < 358.0
-        // Equal start and end mean no limit.
-        && (start != end || sensor.is_some_and(|sensor| sensor.has(flags::BLANKED)))
+    if let Some(fov) = web.page.settings.fov
+        // Equal start and end mean no limit, unless packets show one.
+        && (!fov.is_whole()
+            || fov.start_deg == fov.end_deg
+                && sensor.is_some_and(|sensor| sensor.has(flags::BLANKED)))
+        // One that is wanted is no news, and another than wanted is told as that.
+        && !(seen.plan.sensors.iter())
+            .any(|one| one.address == address && one.want.fov.is_some())
     {
-        let what = format!("{address} is set to measure from {start:.0} to {end:.0} degrees alone");
+        let what = format!("{address} is set to measure {fov} degrees alone");
         let cure = format!(
-            "if that is not meant, set FOV Start 0 and FOV End 359 at http://{address}/ and press Save"
+            "if that is not meant, `sweepd sensor {address} set --fov 0-359 --save --yes` sets all of a turn"
         );
         findings.note(Topic::View, what, cure);
     }

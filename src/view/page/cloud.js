@@ -70,13 +70,11 @@ export class CloudView {
     /** Which sides are shown: [0], [1] or both, side by side. */
     this.shown = [0];
     this.marked = { label: NONE, point: null };
-    this.scale = { near: 1, far: 100 };
-    this.legend = null;
     this.dirty = true;
-    this.draws = 0;
     this.pointer = null;
     const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, powerPreference: "high-performance" });
-    if (gl === null) throw new Error("this browser has no WebGL 2: the 3-D view needs it");
+    /** Why there is no 3-D view; all else works without it. */
+    this.failure = gl === null ? "this browser has no WebGL 2: there is no 3-D view" : null;
     this.gl = gl;
     this.start();
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
@@ -91,6 +89,7 @@ export class CloudView {
   /** Makes all that the graphics card holds. */
   start() {
     const { gl } = this;
+    if (gl === null) return;
     this.pointsProgram = program(gl, POINTS_VERTEX, POINTS_FRAGMENT, ["matrix", "size", "marked"]);
     this.linesProgram = program(gl, LINES_VERTEX, LINES_FRAGMENT, ["matrix"]);
     for (const side of this.sides) side.start(gl);
@@ -110,7 +109,6 @@ export class CloudView {
     side.sweep = sweep;
     if (sweep === null) side.points.count = 0;
     else sweep.fill(side.points, this.options.other);
-    if (sweep !== null && index === 0) this.scale = palette.rangeScale(sweep);
     this.upload(side);
   }
 
@@ -132,6 +130,11 @@ export class CloudView {
     this.touch();
   }
 
+  /** What the colours of the side that is shown last mean. */
+  get legend() {
+    return this.sides[this.shown[this.shown.length - 1]].legend;
+  }
+
   /** Points of the sides that are shown. */
   get count() {
     return this.shown.reduce((sum, index) => sum + this.sides[index].points.count, 0);
@@ -139,6 +142,7 @@ export class CloudView {
 
   upload(side) {
     const { gl } = this;
+    if (gl === null) return;
     const { points, sweep } = side;
     side.reserve(points.count);
     const { floats, words } = side;
@@ -149,7 +153,7 @@ export class CloudView {
       floats[at + 2] = position[3 * index + 2];
       words[at + 4] = labels[index];
     }
-    if (sweep !== null) this.legend = paint(side, this.options.colour, this.scale);
+    side.legend = sweep === null ? null : paint(side, this.options.colour);
     gl.bindBuffer(gl.ARRAY_BUFFER, side.buffer);
     gl.bufferData(gl.ARRAY_BUFFER, floats.subarray(0, points.count * WORDS), gl.DYNAMIC_DRAW);
     side.outlines.fill(gl, sweep === null ? [] : boxes(sweep));
@@ -164,7 +168,7 @@ export class CloudView {
 
   /** Draws what changed. Gives whether anything was drawn. */
   draw() {
-    if (!this.dirty) return false;
+    if (!this.dirty || this.gl === null) return false;
     this.dirty = false;
     const { gl, canvas, overlay } = this;
     const ratio = window.devicePixelRatio;
@@ -186,7 +190,6 @@ export class CloudView {
       this.write(context, this.sides[index], area, matrix);
     });
     if (this.shown.length > 1) this.drawSeam(context);
-    this.draws++;
     return true;
   }
 
@@ -402,6 +405,8 @@ export class CloudView {
       overlay.focus({ preventScroll: true });
       overlay.setPointerCapture(event.pointerId);
       held.set(event.pointerId, { ...at(event), moved: 0, button: event.button, shift: event.shiftKey });
+      // A second finger makes a pinch of it, which is no click.
+      if (held.size > 1) for (const one of held.values()) one.moved = Infinity;
     });
     overlay.addEventListener("pointermove", (event) => {
       const before = held.get(event.pointerId);
@@ -427,7 +432,8 @@ export class CloudView {
     const release = (event) => {
       const before = held.get(event.pointerId);
       held.delete(event.pointerId);
-      if (event.type === "pointerup" && before?.moved < 4) this.report("click", this.pick(before.x, before.y));
+      const isClick = event.type === "pointerup" && before?.moved < 4 && before.button === 0;
+      if (isClick) this.report("click", this.pick(before.x, before.y));
     };
     overlay.addEventListener("pointerup", release);
     overlay.addEventListener("pointercancel", release);
@@ -465,6 +471,7 @@ export class CloudView {
 class Side {
   constructor() {
     this.sweep = null;
+    this.legend = null;
     this.points = new Points();
     this.floats = new Float32Array(0);
     this.words = new Uint32Array(0);
@@ -556,7 +563,7 @@ function level([upX, upY, upZ], x, y, height) {
 }
 
 /** Gives each point of a side its colour, and what the legend says of it: colours, and ticks at 0 to 1. */
-function paint({ sweep, points, words, floats }, by, scale) {
+function paint({ sweep, points, words }, by) {
   const { count, labels, pixels } = points;
   const { rows } = sweep;
   const each = (colourAt) => {
@@ -568,6 +575,7 @@ function paint({ sweep, points, words, floats }, by, scale) {
   };
   const ticks = (values, place, unit) => values.map((value) => [place(value), `${value}${unit}`]);
   if (by === "range") {
+    const scale = palette.rangeScale(sweep);
     const colour = palette.rangeColours(scale);
     each((index) => colour(planes(index, sweep.range, sweep.range2)));
     const values = [];
@@ -580,10 +588,9 @@ function paint({ sweep, points, words, floats }, by, scale) {
     return { colours: palette.REFLECTIVITY, ticks: ticks([0, 50, 100, 175, 255], (value) => value / 255, "") };
   }
   if (by === "height") {
-    const depth = groundDepth(sweep);
-    const most = heightMost(points) + depth;
-    const top = palette.roundUp(Math.max(1, most));
-    each((index, at) => palette.at(palette.HEIGHT, (floats[at + 2] + depth) / top));
+    const height = heights(sweep, points);
+    const top = palette.roundUp(Math.max(1, mostly(height)));
+    each((index) => palette.at(palette.HEIGHT, height[index] / top));
     return { colours: palette.HEIGHT, ticks: ticks([0, top / 2, top], (value) => value / top, " m") };
   }
   if (by === "ring") {
@@ -610,12 +617,20 @@ function paint({ sweep, points, words, floats }, by, scale) {
   return { swatches: [[palette.GROUND_FAINT, "ground"], [palette.UNLABELLED, "no label"], [palette.label(2), "a colour a segment"]] };
 }
 
-/** The height that nearly all points are below, metres over the sensor. */
-function heightMost({ position, count }) {
-  const step = Math.max(1, Math.floor(count / 2000));
-  const some = [];
-  for (let index = 0; index < count; index += step) some.push(position[3 * index + 2]);
-  some.sort((one, other) => one - other);
+/** Heights of points over the ground, which is tilted as the sensor is, metres. */
+function heights(sweep, { position, count }) {
+  const depth = groundDepth(sweep);
+  const [x, y, z] = plumb(sweep);
+  return Float32Array.from({ length: count }, (_, index) => {
+    const at = 3 * index;
+    return x * position[at] + y * position[at + 1] + z * position[at + 2] + depth;
+  });
+}
+
+/** The value that nearly all are below. */
+function mostly(values) {
+  const step = Math.max(1, Math.floor(values.length / 2000));
+  const some = values.filter((_, index) => index % step === 0).sort();
   return some.length === 0 ? 0 : some[Math.floor((some.length - 1) * 0.98)];
 }
 

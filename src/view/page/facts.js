@@ -44,8 +44,8 @@ export class Facts {
     this.select(null);
   }
 
-  /** The facts of a sweep, of its stages, and those that the server knows. */
-  show(sweep, { stages_us: stages, missed }, server, latency) {
+  /** The facts of a sweep, of its stages, and those that the server counts. */
+  show(sweep, missed, server, latency) {
     const { header } = sweep;
     const share = (100 * header.ground) / Math.max(1, header.returns);
     const choice = { [CHOICE_STRONGEST]: "strongest", [CHOICE_LAST]: "last" }[header.return_choice] ?? "nearest";
@@ -54,7 +54,7 @@ export class Facts {
     const words = FLAGS.filter(([flag]) => sweep.has(flag)).map(([, text]) => text);
     const height = header.height_m > 0 ? `${header.height_m.toFixed(2)} m${sweep.has(HEIGHT_ESTIMATED) ? ", estimated" : ""}` : "unknown";
     const micros = (value) => (value >= 1000 ? `${(value / 1000).toFixed(1)} ms` : `${Math.round(value)} µs`);
-    const taken = stages ?? { decode: header.decode_ns / 1e3, ground: header.ground_ns / 1e3, label: header.label_ns / 1e3 };
+    const taken = { decode: header.decode_ns / 1e3, ground: header.ground_ns / 1e3, label: header.label_ns / 1e3 };
     const isTimed = Object.values(taken).some((value) => value > 0);
     const known = {
       model: model(sweep),
@@ -74,13 +74,10 @@ export class Facts {
       mounting: `pitch ${degrees(header.pitch_rad)}, roll ${degrees(header.roll_rad)}`,
       remarks: words.join(", ") || "none",
       stages: isTimed ? Object.entries(taken).map(([name, value]) => `${name} ${micros(value)}`).join(", ") : "not timed",
-      missed: `${missed ?? 0} sweeps by this page`,
+      missed: `${missed} sweeps by this page`,
       latency: `${latency.toFixed(1)} ms`,
     };
-    // What the sweep itself says comes first; the server's words add to it.
-    const stageNames = Object.keys(taken);
-    const added = Object.entries(server).filter(([name]) => !(name in known) && !stageNames.includes(name));
-    this.list.show({ ...known, ...Object.fromEntries(added) });
+    this.list.show({ ...known, ...server });
   }
 
   /** What is pointed at: a pixel's return, a segment, or nothing. */

@@ -240,12 +240,13 @@ export class ImageView {
     const held = new Map();
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
-      held.set(event.pointerId, { x: event.offsetX, y: event.offsetY, moved: 0 });
+      held.set(event.pointerId, { x: event.offsetX, y: event.offsetY, moved: 0, button: event.button });
+      // A second finger makes a pinch of it, which is no click.
+      if (held.size > 1) for (const one of held.values()) one.moved = Infinity;
     });
     canvas.addEventListener("pointermove", (event) => {
       const [x, y] = [event.offsetX, event.offsetY];
       const before = held.get(event.pointerId);
-      this.pointer = { x, y };
       if (before === undefined) return this.report("hover", this.pick(x, y));
       const area = this.area(0);
       const [right, down] = [x - before.x, y - before.y];
@@ -259,14 +260,12 @@ export class ImageView {
     const release = (event) => {
       const before = held.get(event.pointerId);
       held.delete(event.pointerId);
-      if (event.type === "pointerup" && before?.moved < 4) this.report("click", this.pick(before.x, before.y));
+      const isClick = event.type === "pointerup" && before?.moved < 4 && before.button === 0;
+      if (isClick) this.report("click", this.pick(before.x, before.y));
     };
     canvas.addEventListener("pointerup", release);
     canvas.addEventListener("pointercancel", release);
-    canvas.addEventListener("pointerleave", () => {
-      this.pointer = null;
-      this.report("leave", null);
-    });
+    canvas.addEventListener("pointerleave", () => this.report("leave", null));
     canvas.addEventListener("dblclick", () => this.reset());
     canvas.addEventListener("wheel", (event) => {
       event.preventDefault();
@@ -291,7 +290,7 @@ class Strip {
     const { rows, count, range, label, reflectivity } = sweep;
     const image = this.blank(this.canvas, count, rows);
     const pixels = new Uint32Array(image.data.buffer);
-    const rangeColour = palette.rangeColours(palette.rangeScale(sweep));
+    const rangeColour = this.what === "range" ? palette.rangeColours(palette.rangeScale(sweep)) : null;
     for (let column = 0, pixel = 0; column < count; column++) {
       const isMissing = sweep.columns.status[column] === COLUMN_MISSING;
       for (let row = 0; row < rows; row++, pixel++) {

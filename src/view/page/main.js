@@ -1,8 +1,8 @@
 // The page of `sweepd view`: the socket, and one selection for all views.
 //
 // What the page needs of a browser: ES modules, WebGL 2, Canvas 2D, WebSocket with ArrayBuffers, DataView with
-// BigInt64, typed arrays, Pointer Events, ResizeObserver, CSS grid; the clipboard where it is allowed. Chromium 80,
-// Firefox 79 and Safari 15 have them all.
+// BigInt64, typed arrays, Pointer Events, ResizeObserver, replaceChildren, dialog, CSS grid and inset; the clipboard where
+// it is allowed. Chromium 87, Firefox 98 and Safari 15.4 have them all.
 //
 // Tests read the page's state as `window.sweepd`.
 
@@ -19,8 +19,8 @@ import { Tuning } from "./tuning.js";
 
 /** How long is waited before a connection is tried again, milliseconds. */
 const AGAIN_MS = 1000;
-/** The table and the facts are written at most so often. */
-const WORDS_MS = 150;
+/** Interval of the table, the facts and the plots: faster, no eye can read them. */
+const WORDS_MS = 400;
 
 const find = (id) => document.getElementById(id);
 
@@ -31,6 +31,9 @@ class Page {
     /** The sweep that is shown, as it is and tuned, and what the server said of it. */
     this.sweeps = [null, null];
     this.notice = null;
+    /** The sweep of the side that is looked at, and what the server said of one that is not drawn yet. */
+    this.shown = null;
+    this.waiting = null;
     this.head = null;
     this.selection = null;
     /** What the pointer is over, or what was clicked: a pixel or a label, and by which view. */
@@ -47,6 +50,7 @@ class Page {
     this.cloud = new CloudView(find("cloud"), find("overlay"), (event, hit) => this.point("cloud", event, hit));
     this.images = new ImageView(find("images"), (event, hit) => this.point("image", event, hit));
     this.table = new Table(find("segments"), (event, label) => this.point("table", event, label === null ? null : { label }));
+    if (this.cloud.failure !== null) tell(this.cloud.failure);
     this.plots = new Plots(find("plots"));
     this.facts = new Facts(find("facts"), find("selection"));
     const send = (what) => this.send(what);
@@ -97,7 +101,9 @@ class Page {
     if (message.type === "source") this.takeSource(message);
     else if (message.type === "state") this.say(message);
     else if (message.type === "sweep") this.head = { ...message, received: performance.now() };
-    else if (message.type === "refused") this.tuning.refuse(message.text);
+    else if (message.type === "empty") this.clear();
+    else if (message.type === "refused" && message.of === "tuning") this.tuning.refuse(message.text);
+    else if (message.type === "refused") tell(`not done: ${message.text}`);
     else if (message.type === "configuration") this.tuning.configuration(message.text);
   }
 
@@ -113,10 +119,10 @@ class Page {
     const sensors = source.sensors ?? [];
     const choice = find("sensor");
     choice.hidden = sensors.length < 2 || source.kind === "choice";
-    if (choice.childElementCount !== sensors.length) {
+    if ([...choice.options].map((option) => option.value).join() !== sensors.join()) {
       choice.replaceChildren(...sensors.map((name) => new Option(name, name)));
     }
-    if (sensors.includes(source.name)) choice.value = source.name;
+    choice.value = source.chosen ?? source.name;
     const list = find("choice");
     list.hidden = source.kind !== "choice";
     if (source.kind === "choice") {
@@ -138,6 +144,7 @@ class Page {
     words.title = this.state.words;
     words.dataset.ok = String(this.state.ok);
     this.timeline.state(this.state);
+    this.link();
     this.wordsDue = true;
   }
 
@@ -148,7 +155,8 @@ class Page {
     this.head = null;
     const sweep = new Sweep(buffer);
     this.status.sweeps++;
-    this.waiting = head;
+    // A sweep and its tuned copy may come before either is drawn.
+    this.waiting ??= head;
     if (head.tuned) {
       if (this.notice !== null && head.index === this.notice.index) this.takeTuned(head, sweep);
       return;
@@ -173,6 +181,19 @@ class Page {
   }
 
   // ---- What is shown
+
+  /** Nothing is shown: another sensor was chosen, of which no sweep has come. */
+  clear() {
+    this.sweeps = [null, null];
+    this.pointed = null;
+    this.pinned = null;
+    this.notice = null;
+    this.plots.clear();
+    this.show();
+    if (this.waiting === null) return;
+    this.waiting = null;
+    this.send({ do: "drawn" });
+  }
 
   /** The sweep of a side, or what there is instead. */
   side(index) {
@@ -201,7 +222,6 @@ class Page {
 
   compare(mode) {
     if (this.sweeps?.[0]) this.show();
-    document.body.dataset.compare = mode;
   }
 
   frame() {
@@ -212,13 +232,15 @@ class Page {
     this.status.points = this.cloud.count;
     this.status.returns = this.shown?.header.returns ?? 0;
     if (this.waiting) this.tellDrawn(before);
-    if (this.wordsDue && (before - this.wordsAt > WORDS_MS || !this.state.playing)) this.write(before);
-    this.plots.draw();
+    this.plots.age(before);
+    const isDue = this.wordsDue || this.plots.dirty;
+    if (isDue && (before - this.wordsAt > WORDS_MS || !this.state.playing)) this.write(before);
   }
 
   tellDrawn(before) {
     const head = this.waiting;
     this.waiting = null;
+    find("error").hidden = this.cloud.failure === null;
     const now = performance.now();
     this.drawn.push(now - head.received);
     if (this.drawn.length > 600) this.drawn.shift();
@@ -229,10 +251,13 @@ class Page {
     this.send({ do: "drawn" });
   }
 
-  /** Latency is from the arrival of a sensor's last packet to the picture; of a capture, from receipt to picture. */
+  /**
+   * Latency is from the arrival of a sensor's last packet to the picture, by the clocks of its host and of this one; of a
+   * capture, from receipt to picture.
+   */
   plot(head, now) {
     const [{ header }] = this.sweeps;
-    const age = performance.timeOrigin + now - Number(header.arrival_ns) / 1e6;
+    const age = Date.now() - Number(header.arrival_ns) / 1e6;
     // A capture that is played as a sensor has arrival times of its own.
     const isLive = this.source?.kind === "sensor" && age > -50 && age < 60000;
     const latency = isLive ? Math.max(0, age) : now - head.received;
@@ -242,12 +267,13 @@ class Page {
   write(now) {
     this.wordsDue = false;
     this.wordsAt = now;
-    if (!this.shown) return;
+    this.plots.draw();
     this.table.show(this.shown);
     this.table.mark(this.selection?.label ?? 0, this.pointed?.by === "table");
-    find("count").textContent = String(this.shown.segments.length);
-    this.facts.show(this.shown, this.notice, this.state.facts ?? {}, this.plots.newest("latency") ?? 0);
-    find("now").textContent = this.words();
+    find("count").textContent = String(this.shown?.segments.length ?? "");
+    find("now").textContent = this.shown === null ? "" : this.words();
+    if (this.shown === null) return;
+    this.facts.show(this.shown, this.notice?.missed ?? 0, this.state.facts ?? {}, this.plots.newest("latency") ?? 0);
   }
 
   words() {
@@ -383,8 +409,9 @@ class Page {
   }
 
   key(event) {
-    const isTyping = event.target.matches?.("input, select, textarea") || document.querySelector("dialog[open]");
-    if (isTyping || event.ctrlKey || event.metaKey || event.altKey) return;
+    const isTyping = event.target.matches?.("input[type=number], select") || document.querySelector("dialog[open]");
+    const isSliding = event.target.matches?.("input[type=range]") && /^(Arrow|Home|End|Page)/.test(event.key);
+    if (isTyping || isSliding || event.ctrlKey || event.metaKey || event.altKey) return;
     const flip = (option) => {
       const box = document.querySelector(`[data-option="${option}"]`);
       box.checked = !box.checked;
@@ -407,8 +434,8 @@ class Page {
       "?": () => find("help").showModal(),
     };
     const action = actions[event.key];
-    // A button that has the focus is pressed by the space bar; then it is not ours.
-    if (event.key === " " && event.target.matches?.("button")) return;
+    // A button or a box that has the focus is pressed by the space bar; then it is not ours.
+    if (event.key === " " && event.target.matches?.("button, input[type=checkbox]")) return;
     if (action !== undefined) action();
     else if (!this.cloud.key(event)) return;
     event.preventDefault();
@@ -427,9 +454,7 @@ class Page {
   fail(error) {
     this.status.errors.push(String(error?.message ?? error));
     if (this.status.errors.length > 20) this.status.errors.shift();
-    const place = find("error");
-    place.textContent = String(error?.message ?? error);
-    place.hidden = false;
+    return tell(error?.message ?? error);
   }
 }
 
@@ -445,6 +470,14 @@ function selectionOf(sweep, pointed) {
   const found = sweep.at(row, column, pointed.other);
   if (found === null) return { row, column, found: null, label: undefined, point: null };
   return { row, column, found, label: found.label, segment: sweep.segment(found.label), point: found.point };
+}
+
+/** Shows what went wrong, until the next sweep is drawn. */
+function tell(error) {
+  const place = find("error");
+  place.textContent = String(error);
+  place.hidden = false;
+  return true;
 }
 
 /** A bar of colours with ticks. */
@@ -467,9 +500,11 @@ function drawScale(canvas, { colours, ticks }) {
   for (const [place, words] of ticks) context.fillText(words, left + place * (right - left), 15);
 }
 
-const page = new Page();
-window.addEventListener("error", (event) => page.fail(event.error ?? event.message));
-window.addEventListener("unhandledrejection", (event) => page.fail(event.reason));
+// What fails while the page is made is told too.
+window.addEventListener("error", (event) => page?.fail(event.error ?? event.message) ?? tell(event.message));
+window.addEventListener("unhandledrejection", (event) => page?.fail(event.reason) ?? tell(event.reason));
+let page = null;
+page = new Page();
 
 /** For tests: the state, and what the page can tell of the sweep that is shown. */
 window.sweepd = Object.assign(page.status, {

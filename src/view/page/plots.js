@@ -5,6 +5,8 @@ import * as palette from "./palette.js";
 const SPAN_MS = 60000;
 const LABEL_WIDTH = 74;
 const VALUE_WIDTH = 62;
+/** Without a sweep for this long, milliseconds, none comes: the slowest head turns in a quarter of a second. */
+const SILENT_MS = 1000;
 
 /** What is plotted: a name, its colour, and how its newest value reads. */
 const LINES = [
@@ -19,6 +21,7 @@ export class Plots {
     this.canvas = canvas;
     this.samples = [];
     this.dirty = true;
+    this.drawnAt = 0;
     new ResizeObserver(() => (this.dirty = true)).observe(canvas);
   }
 
@@ -31,6 +34,11 @@ export class Plots {
     const old = this.samples.findIndex((sample) => sample.at > now - SPAN_MS);
     if (old > 0) this.samples.splice(0, old);
     this.dirty = true;
+  }
+
+  /** The lines move on, and what stalls is seen to. */
+  age(now) {
+    if (this.samples.length > 0 && now - this.drawnAt > 1000) this.dirty = true;
   }
 
   clear() {
@@ -55,6 +63,7 @@ export class Plots {
     context.scale(ratio, ratio);
     const each = height / LINES.length;
     const now = performance.now();
+    this.drawnAt = now;
     LINES.forEach((line, index) => {
       const top = index * each + 4;
       const bottom = (index + 1) * each - 4;
@@ -85,7 +94,8 @@ export class Plots {
       context.textAlign = "right";
       context.font = "12px ui-monospace, monospace";
       context.fillStyle = palette.TEXT;
-      context.fillText(line.text(newest[line.key]), width, (top + bottom) / 2);
+      const value = line.key === "rate" && now - newest.at > SILENT_MS ? 0 : newest[line.key];
+      context.fillText(line.text(value), width, (top + bottom) / 2);
     });
   }
 }

@@ -197,7 +197,9 @@ function text(bytes) {
 function checkedHeader(buffer) {
   if (buffer.byteLength < HEADER.bytes) throw new LayoutError(`${buffer.byteLength} bytes cannot hold a sweep`);
   const header = structAt(new DataView(buffer), HEADER, 0);
-  if (String.fromCharCode(...header.magic) !== MAGIC) throw new LayoutError("no sweep of sweepd: its mark is missing");
+  if (String.fromCharCode(...header.magic) !== MAGIC) {
+    throw new LayoutError("not a sweep of sweepd: the magic bytes at its beginning are missing");
+  }
   if (header.version !== LAYOUT_VERSION) {
     throw new LayoutError(
       `a sweep of layout version ${header.version}, and this page reads version ${LAYOUT_VERSION}: load the page anew`);
@@ -281,7 +283,7 @@ export class Sweep {
     return wrapped(this.columns.azimuth[firing] + this.columns.rate[firing] * this.rays[row].delay - this.rays[row].rotation);
   }
 
-  /** When a pixel's beam fired, nanoseconds after the first shot of the sweep. */
+  /** When a pixel's beam fired, nanoseconds after the sweep's first shot. */
   afterNs(row, column) {
     return this.columns.time[this.firedIn(row, column)] + this.beams[row].time_offset_ns;
   }
@@ -379,7 +381,7 @@ export class Points {
     this.pixels = new Uint32Array(0);
   }
 
-  /** Makes room for so many points; what was there is lost where it was too little. */
+  /** Makes room for `count` points; what was there is lost where it was too little. */
   reserve(count) {
     if (this.labels.length >= count) return;
     this.position = new Float32Array(3 * count);

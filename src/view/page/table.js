@@ -1,4 +1,4 @@
-// The table of segments: sortable, and as long as it need be, since only the rows in sight are in the document.
+// The table of segments: sortable. Only the rows in sight are in the document.
 
 import * as palette from "./palette.js";
 
@@ -78,9 +78,10 @@ export class Table {
 
   /** Marks the row of a label, and brings it into sight if the mark came from elsewhere. */
   mark(label, fromHere) {
+    const isOther = label !== this.marked;
     this.marked = label;
     const place = this.segments.findIndex((segment) => segment.label === label);
-    if (place >= 0 && !fromHere) {
+    if (place >= 0 && isOther && !fromHere) {
       const { scrollTop, clientHeight } = this.body;
       const isAbove = place * ROW < scrollTop;
       if (isAbove || (place + 1) * ROW > scrollTop + clientHeight) {

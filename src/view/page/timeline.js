@@ -4,7 +4,7 @@
 import * as palette from "./palette.js";
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4, 8, 16];
-const COLOURS = { loss: "#ff7a6b", gap: palette.WARNING, restart: palette.ACCENT };
+const COLOURS = { loss: "#ff7a6b", gap: palette.WARNING, stop: palette.WARNING, restart: palette.ACCENT };
 
 export class Timeline {
   /** `send` takes what is to be done; see main.js. */
@@ -15,8 +15,9 @@ export class Timeline {
     this.index = 0;
     this.marks = [];
     this.playing = false;
+    /** The sweep that the pointer is at, and whether it is about to be asked for. */
     this.wanted = null;
-    this.sent = 0;
+    this.isAsked = false;
     const part = (name) => root.querySelector(`[data-part="${name}"]`);
     this.play = part("play");
     this.bar = part("bar");
@@ -86,7 +87,14 @@ export class Timeline {
     const index = this.under(event);
     if (index === this.wanted && event.type === "pointermove") return;
     this.wanted = index;
-    this.seek(index);
+    // At most one seek a picture: the newest.
+    if (!this.isAsked) requestAnimationFrame(() => this.ask());
+    this.isAsked = true;
+  }
+
+  ask() {
+    this.isAsked = false;
+    this.seek(this.wanted);
   }
 
   under(event) {

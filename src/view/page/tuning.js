@@ -18,6 +18,7 @@ export class Tuning {
     this.methods = part("method");
     this.refused = part("refused");
     this.summary = part("summary");
+    this.base = part("base");
     this.reset = part("reset");
     this.modes = [...root.querySelectorAll("[data-compare]")];
     this.methods.addEventListener("change", () => this.changed());
@@ -29,16 +30,24 @@ export class Tuning {
   }
 
   /** Takes the options of the source. Those that were changed stay, unless the options are others. */
-  source({ settings, methods, method }) {
+  source({ kind, settings, methods, method }) {
+    this.base.hidden = kind !== "sensor";
     const key = JSON.stringify([settings, methods]);
     if (key === this.known) return;
     this.known = key;
+    const chosen = this.active ? this.differing : {};
     this.rows.clear();
     this.list.replaceChildren();
+    const methodChosen = this.active ? this.methods.value : undefined;
     this.methods.replaceChildren(...(methods ?? []).map((name) => new Option(name, name)));
     this.methodNow = method ?? methods?.[0];
-    if (this.methodNow !== undefined) this.methods.value = this.methodNow;
+    this.methods.value = methodChosen ?? this.methodNow ?? "";
     for (const setting of settings ?? []) this.rows.set(setting.key, this.row(setting));
+    for (const [name, value] of Object.entries(chosen)) {
+      const row = this.rows.get(name);
+      if (row !== undefined) this.put(row, value);
+    }
+    if (this.active) this.changed();
     this.settle();
   }
 
@@ -58,7 +67,7 @@ export class Tuning {
     Object.assign(number, { type: "number", min: least, max: setting.most, step: "any" });
     number.setAttribute("aria-label", `${name.textContent} as a number`);
     const units = document.createElement("span");
-    units.textContent = unit === "degrees" || unit === "deg" ? "°" : unit === "metres" ? "m" : unit === "metres a metre" ? "m/m" : unit;
+    units.textContent = unit === "deg" ? "°" : unit;
     const back = document.createElement("button");
     back.className = "quiet";
     back.textContent = "↺";
@@ -74,7 +83,8 @@ export class Tuning {
     });
     number.addEventListener("change", () => {
       const typed = number.valueAsNumber;
-      this.put(row, Number.isNaN(typed) ? now : Math.min(setting.most, Math.max(least, typed)));
+      const empty = setting.absent ? null : now;
+      this.put(row, Number.isNaN(typed) ? empty : Math.min(setting.most, Math.max(least, typed)));
       this.changed();
     });
     back.addEventListener("click", () => {
@@ -88,7 +98,7 @@ export class Tuning {
   put(row, value, fromSlider = false) {
     row.value = value;
     row.number.value = value === null ? "" : String(value);
-    row.number.placeholder = "auto";
+    row.number.placeholder = row.setting.absent ? "auto" : "";
     if (!fromSlider) row.slider.value = String(Math.round(STEPS * row.curve.place(value ?? row.setting.default ?? row.setting.least)));
     row.line.classList.toggle("changed", value !== row.now);
   }
@@ -162,7 +172,7 @@ export class Tuning {
 
   /** The lines of the configuration: shown, and copied where the browser lets us. */
   async configuration(text) {
-    this.text.textContent = text === "" ? "# nothing differs from the defaults" : text;
+    this.text.textContent = text;
     this.text.hidden = false;
     try {
       await navigator.clipboard.writeText(text);
@@ -197,7 +207,6 @@ function curveOf({ least, default: usual }, most) {
 
 /** Whole counts; else as many decimals as a step of the slider is fine. */
 function rounded(value, { unit, least, most }, reach) {
-  const isCount = unit === "" || unit === "count" || unit === null || unit === undefined;
-  const decimals = isCount ? 0 : reach <= 1 ? 3 : reach <= 10 ? 2 : 1;
+  const decimals = unit === "" ? 0 : reach <= 1 ? 3 : reach <= 10 ? 2 : 1;
   return Math.min(most, Math.max(least, Number(value.toFixed(decimals))));
 }

@@ -64,8 +64,10 @@ pub(super) fn make(
         }
         told = Instant::now();
         let sensors: Vec<String> = reader.sensors().map(str::to_owned).collect();
-        let of_chosen = found.get(&chosen.load(Ordering::Relaxed));
+        let chosen = chosen.load(Ordering::Relaxed);
+        let of_chosen = found.get(&chosen);
         describe(to, |now| {
+            now.chosen = sensors.get(chosen).cloned();
             now.sensors = sensors;
             if let Some(found) = of_chosen {
                 now.sweeps = Some(found.sweeps);
@@ -95,16 +97,22 @@ impl Found {
                 ),
             )
         } else if header.has(flags::STOPPED) {
-            ("gap", "the head stands still".to_owned())
+            ("stop", "the head stands still".to_owned())
         } else {
             return;
         };
-        if self.marks.len() < MARKS {
-            self.marks.push(Mark {
-                sweep: index,
-                what,
-                text,
-            });
-        }
+        let (what, text) = match self.marks.len() {
+            ..MARKS => (what, text),
+            MARKS => (
+                "stop",
+                format!("more than {MARKS} faults: none is marked from here on"),
+            ),
+            _ => return,
+        };
+        self.marks.push(Mark {
+            sweep: index,
+            what,
+            text,
+        });
     }
 }

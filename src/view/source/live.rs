@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use super::facts;
 use crate::cli::CliError;
-use crate::view::stage::{Command, Kind, Stage, State, copied, sweep_bytes};
+use crate::view::stage::{Command, Kind, Stage, State, packed, sweep_bytes};
 use sweepd_client::client::{Client, Domain};
 use sweepd_client::host::realtime_ns;
+use sweepd_core::segment;
 use sweepd_core::sweep::layout::flags;
-use sweepd_core::sweep::{Header, HeapBuffers};
+use sweepd_core::sweep::{Header, HeapBuffers, SweepRef};
 
 /// Interval of the look at commands and at the list of sensors.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
@@ -35,7 +35,8 @@ pub(super) struct Live {
     counts: Counts,
     /// Why there are no sweeps.
     trouble: Option<String>,
-    facts: BTreeMap<&'static str, String>,
+    /// What sweeps are segmented with where they do not tell.
+    base: segment::Config,
 }
 
 #[derive(Clone, Copy)]
@@ -43,6 +44,7 @@ struct Newest {
     run_ns: i64,
     sequence: u64,
     at: Instant,
+    arrival_ns: i64,
 }
 
 /// Since the view began.
@@ -58,6 +60,7 @@ struct Counts {
 impl Live {
     pub(super) fn new(stage: Stage, domain: Domain, name: Option<String>) -> Self {
         Self {
+            base: stage.description().segment,
             stage,
             domain,
             name,
@@ -69,7 +72,6 @@ impl Live {
             restarted: None,
             counts: Counts::default(),
             trouble: None,
-            facts: BTreeMap::new(),
         }
     }
 
@@ -100,6 +102,7 @@ impl Live {
         self.stage.describe(|now| {
             now.kind = Kind::Sensor;
             now.name.clone_from(&name);
+            now.segment.clone_from(&self.base);
         });
         self.name = Some(name);
         self.client = None;
@@ -107,7 +110,6 @@ impl Live {
         self.restarted = None;
         self.since = Instant::now();
         self.counts = Counts::default();
-        self.facts.clear();
     }
 
     /// Looks which sensors there are; the only one is chosen.
@@ -141,10 +143,14 @@ impl Live {
             return Ok(());
         };
         // Copied out of the loan at once: what browsers do takes as long as it likes.
-        let copy = copied(&mut self.buffers, sweep.bytes());
+        let copy = sweep
+            .view()
+            .and_then(|view| packed(&mut self.buffers, &view, view.segments.len()));
         drop(sweep);
-        if let Some(bytes) = sweep_bytes(copy)
-            && let Ok(view) = sweepd_core::sweep::SweepRef::open(&bytes)
+        // A publisher that spoils its own sweeps gets none of them shown.
+        if let Ok(copy) = copy
+            && let Some(bytes) = sweep_bytes(copy)
+            && let Ok(view) = SweepRef::open(&bytes)
         {
             let missed = self.count(view.header);
             self.stage.show(None, missed, bytes);
@@ -158,6 +164,7 @@ impl Live {
             run_ns: header.run_ns,
             sequence: header.sequence,
             at: Instant::now(),
+            arrival_ns: header.arrival_ns,
         };
         let missed = match self.newest.replace(now) {
             Some(before) if before.run_ns == now.run_ns => now
@@ -175,19 +182,6 @@ impl Live {
         counts.missed = counts.missed.saturating_add(missed);
         counts.lost += u64::from(header.lost_packets);
         counts.dropped += u64::from(header.dropped_datagrams);
-        let age_ms = realtime_ns().saturating_sub(header.arrival_ns) as f64 * 1e-6;
-        self.facts = facts::of(header);
-        self.facts.extend([
-            ("sweeps", counts.sweeps.to_string()),
-            ("packets lost in all", counts.lost.to_string()),
-            ("dropped in all", counts.dropped.to_string()),
-            ("missed by this view", counts.missed.to_string()),
-            ("restarts", counts.restarts.to_string()),
-        ]);
-        // A replay has the times of its capture.
-        if (0.0..60_000.0).contains(&age_ms) {
-            self.facts.insert("age", format!("{age_ms:.2} ms"));
-        }
         self.note_mount(header);
         missed
     }
@@ -212,8 +206,28 @@ impl Live {
             ok,
             playing: ok,
             speed: 1.0,
-            facts: self.facts.clone(),
+            facts: self.facts(),
         });
+    }
+
+    /// What is counted, and how old the newest sweep is.
+    fn facts(&self) -> BTreeMap<&'static str, String> {
+        let counts = &self.counts;
+        let mut facts = BTreeMap::from([
+            ("sweeps", counts.sweeps.to_string()),
+            ("packets lost in all", counts.lost.to_string()),
+            ("dropped in all", counts.dropped.to_string()),
+            ("missed by this view", counts.missed.to_string()),
+            ("restarts", counts.restarts.to_string()),
+        ]);
+        let age_ms = self.newest.map_or(0.0, |newest| {
+            realtime_ns().saturating_sub(newest.arrival_ns) as f64 * 1e-6
+        });
+        // A replay has the times of its capture.
+        if (0.0..60_000.0).contains(&age_ms) && self.newest.is_some() {
+            facts.insert("age", format!("{age_ms:.0} ms"));
+        }
+        facts
     }
 
     fn words(&self) -> (String, bool) {
@@ -266,9 +280,10 @@ impl Live {
                     false,
                 )
             }
-            Some(_) if self.restarted.is_some_and(|at| at.elapsed() < NEWS) => {
-                ("live; the daemon was started again".to_owned(), true)
-            }
+            Some(_) if self.restarted.is_some_and(|at| at.elapsed() < NEWS) => (
+                "live; the daemon was started again, or has reloaded this sensor".to_owned(),
+                true,
+            ),
             Some(_) => ("live".to_owned(), true),
         }
     }

@@ -1,6 +1,5 @@
 //! Where sweeps come from: a thread that shows them on a [stage](super::stage).
 
-mod facts;
 mod index;
 mod live;
 mod player;
@@ -51,6 +50,7 @@ pub(super) fn start(source: Source, segment: segment::Config) -> Result<(Running
         kind,
         name,
         sensors: Vec::new(),
+        chosen: None,
         sweeps: (!matches!(kind, Kind::Sensor | Kind::Choice)).then_some(0),
         marks: Vec::new(),
         segment,
@@ -73,7 +73,7 @@ pub(super) fn start(source: Source, segment: segment::Config) -> Result<(Running
             running.spawn("live", move || live.run())?;
         }
         Source::Capture { recipe, is_endless } => {
-            // A capture that is none is an error at once.
+            // What is no capture is an error at once.
             Reader::open(&recipe)?;
             #[cfg(feature = "lab")]
             if let Origin::Simulation(simulation) = &recipe.origin {

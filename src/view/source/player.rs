@@ -4,7 +4,7 @@
 //! the capture is run again from its beginning. Sweeps on the way to the one that is shown are
 //! decoded and not labelled.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
@@ -12,12 +12,11 @@ use std::time::{Duration, Instant};
 
 use hyper::body::Bytes;
 
-use super::facts;
 use super::reader::{Decoded, Labels, Reader, Recipe, Step};
-use crate::view::stage::{Command, Stage, State, sweep_bytes};
+use crate::view::stage::{Command, Stage, State, packed, sweep_bytes};
 use sweepd_core::segment::ConfigError;
-use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::buffers::HeapBuffer;
+use sweepd_core::sweep::{HeapBuffers, SweepRef};
 
 /// Sweeps that are kept for steps back.
 const KEPT: usize = 16;
@@ -35,6 +34,8 @@ pub(super) struct Player {
     /// Begins again at the end.
     is_endless: bool,
     labels: Labels,
+    /// For what is shown.
+    buffers: HeapBuffers,
     reader: Option<Reader>,
     /// Number of the sensor that is shown; the index reads it.
     sensor: Arc<AtomicUsize>,
@@ -73,6 +74,7 @@ impl Player {
     pub(super) fn new(stage: Stage, recipe: Recipe, is_endless: bool) -> Result<Self, ConfigError> {
         Ok(Self {
             labels: Labels::new(&recipe.config)?,
+            buffers: HeapBuffers::default(),
             stage,
             recipe,
             is_endless,
@@ -102,6 +104,10 @@ impl Player {
     /// Plays until the end of the program.
     pub(super) fn run(mut self) {
         while !self.stage.is_over() {
+            // Of several places to go to, the last one counts.
+            while let Ok(command) = self.stage.commands.try_recv() {
+                self.obey(command);
+            }
             let wait = self.advance();
             self.tell();
             let until = Instant::now() + wait;
@@ -278,7 +284,9 @@ impl Player {
             self.labels.label(buffer);
             let empty = Kept::Labelled(Bytes::new());
             if let Kept::Decoded(buffer) = std::mem::replace(kept, empty) {
-                *kept = Kept::Labelled(sweep_bytes(buffer)?);
+                let sweep = SweepRef::open(buffer.as_ref()).ok()?;
+                let copy = packed(&mut self.buffers, &sweep, sweep.segments.len()).ok()?;
+                *kept = Kept::Labelled(sweep_bytes(copy)?);
             }
         }
         match kept {
@@ -300,29 +308,12 @@ impl Player {
             _ if self.is_playing => "playing".to_owned(),
             _ => "paused".to_owned(),
         };
-        let frame = match self.label_of_shown() {
-            Some(bytes) => SweepRef::open(bytes)
-                .ok()
-                .map(|sweep| facts::of(sweep.header)),
-            None => None,
-        };
         self.stage.tell(State {
             words,
             ok: trouble.is_none(),
             playing: self.is_playing && !self.is_at_end,
             speed: self.speed,
-            facts: frame.unwrap_or_default(),
+            facts: BTreeMap::new(),
         });
-    }
-
-    /// The bytes that are shown, while they are kept.
-    fn label_of_shown(&self) -> Option<&Bytes> {
-        let (index, _) = self.shown?;
-        let first = self.next - self.kept.len() as u64;
-        let place = usize::try_from(index.checked_sub(first)?).ok()?;
-        match self.kept.get(place)? {
-            Kept::Labelled(bytes) => Some(bytes),
-            Kept::Decoded(_) => None,
-        }
     }
 }

@@ -240,7 +240,7 @@ impl Track {
         if let Err(fault) = self.pipeline.push(packet) {
             self.fault = Some(explain(&fault, Dialect::CommandLine));
         }
-        // Nobody reads them, and they must not pile up.
+        // They must not pile up.
         self.pipeline.take_notices();
     }
 

@@ -1,15 +1,14 @@
 //! Files that people write and programs send: calibrations, the daemon's configuration, tables of
 //! rows, masks, web pages.
 
-use std::net::Ipv4Addr;
 use std::path::Path;
 
 use sweepd::cloud::RowTable;
 use sweepd::daemon::config::{Config, ConfigError, memory};
-use sweepd::doctor::web;
 use sweepd::segment::MAX_ROWS;
 use sweepd::sensor::read::MAX_FILE_LEN;
 use sweepd::sensor::{Calibration, CalibrationError, Model, db_xml, ros_yaml, stream};
+use sweepd::web_interface::Page;
 
 /// A db.xml.
 pub fn db_xml(input: &[u8]) {
@@ -93,14 +92,10 @@ pub fn web_page(input: &[u8]) {
     let Ok(page) = serde_json::from_slice(input) else {
         return;
     };
-    let told = web::read(Ipv4Addr::LOCALHOST, &page, &page);
-    assert!(
-        [told.rpm, told.measured_rpm]
-            .into_iter()
-            .flatten()
-            .all(f64::is_finite)
-    );
-    let texts = [&told.returns, &told.pps].into_iter().flatten();
+    let told = Page::of(&page, &page);
+    assert!(told.measured_rpm.is_none_or(f64::is_finite));
+    let values = told.settings.list().map(|(_, value)| value);
+    let texts = values.iter().chain([&told.pps]).flatten();
     assert!(
         texts
             .clone()

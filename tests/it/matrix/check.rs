@@ -32,7 +32,7 @@ struct Check<'a> {
 pub fn check(made: &Made, row: Row) -> Row {
     let calibration = (made.config.model.is_hdl64e() && !made.promise.learns)
         .then(|| made.config.beams().into_owned());
-    let mut runner = Runner::new(Config {
+    let mut runner = Runner::with_listener(Config {
         calibration,
         ..Config::default()
     });
@@ -53,6 +53,7 @@ pub fn check(made: &Made, row: Row) -> Row {
     let is_contradicted = notices
         .iter()
         .any(|notice| matches!(notice, Notice::OtherCalibration { .. }));
+    let tally = runner.tally();
     let run = runner.finish();
     let damage = made.faults.corrupted.iter().copied().collect();
     let mut check = Check {
@@ -63,6 +64,8 @@ pub fn check(made: &Made, row: Row) -> Row {
         row,
     };
     check.row.injected = made.injected;
+    check.row.objects = tally.early + tally.around_cut;
+    check.row.with_sweep = tally.with_sweep;
     check.returns(&run);
     // Its beams may be wrong until the next dump tells another thing; then people are told.
     if !made.promise.has_checksum && is_contradicted {

@@ -9,8 +9,9 @@
 //! of the fault or of the model. Each row is one stream with truth, through admission and the
 //! pipeline. In every row: no panic; every return that is published lies where it really was; a
 //! decoded packet is decoded whole, and every other one is counted; a whole sweep has no hole that
-//! it does not tell; the counters are what was injected; and one revolution after the fault ends,
-//! sweeps are whole again.
+//! it does not tell; the counters are what was injected; every segment of every sweep is told once,
+//! with its sweep or before, and interrupted sweeps are told as such; and one revolution after the
+//! fault ends, sweeps are whole again.
 
 mod cases;
 mod check;

@@ -19,6 +19,10 @@ pub struct Row {
     pub azimuth_deg: f64,
     pub sweeps: usize,
     pub partial: usize,
+    /// Objects that were told while the head turned, and segments that were told with their sweep:
+    /// each segment once, and none of another sweep.
+    pub objects: usize,
+    pub with_sweep: usize,
     /// From the end of the fault to the first sweep that is whole, turns.
     pub recovery: Option<f64>,
     /// What does not hold.
@@ -38,6 +42,8 @@ impl Default for Row {
             azimuth_deg: 0.0,
             sweeps: 0,
             partial: 0,
+            objects: 0,
+            with_sweep: 0,
             recovery: None,
             red: Vec::new(),
         }
@@ -47,7 +53,7 @@ impl Default for Row {
 /// A line for each row; below a red one, what does not hold.
 pub fn print(rows: &[Row]) -> String {
     let mut text = format!(
-        "\n{:<25}{:<17}{:<13}{:<10}{:>9}{:>9}{:>10}{:>7}{:>8}{:>7}{:>8}{:>9}\n",
+        "\n{:<25}{:<17}{:<13}{:<10}{:>9}{:>9}{:>10}{:>7}{:>8}{:>7}{:>8}{:>8}{:>7}{:>9}\n",
         "fault",
         "rate",
         "model",
@@ -59,6 +65,8 @@ pub fn print(rows: &[Row]) -> String {
         "deg",
         "sweeps",
         "partial",
+        "objects",
+        "later",
         "recovery"
     );
     for row in rows {
@@ -80,6 +88,8 @@ pub fn line(row: &Row) -> String {
         azimuth_deg,
         sweeps,
         partial,
+        objects,
+        with_sweep,
         ..
     } = row;
     let (model, mode) = (kind.model.to_string(), kind.mode.to_string());
@@ -90,7 +100,7 @@ pub fn line(row: &Row) -> String {
     let verdict = if row.red.is_empty() { "green" } else { "RED" };
     let mut text = format!(
         "{fault:<25}{rate:<17}{model:<13}{mode:<10}{injected:>9}{counted:>9}{returns:>10}{range_mm:>7.2}{azimuth_deg:>8.3}\
-         {sweeps:>7}{partial:>8}{recovery:>9}  {verdict}"
+         {sweeps:>7}{partial:>8}{objects:>8}{with_sweep:>7}{recovery:>9}  {verdict}"
     );
     for why in &row.red {
         let _ = write!(text, "\n    {why}");

@@ -61,15 +61,15 @@ pub enum PublishError {
     },
     /// iceoryx2 does not come back from a call.
     #[error(
-        "shared memory does not answer: a process that died left a file in /dev/shm that is waited for; remove the files of \
-         this domain there, whose names begin with {prefix}, and start again"
+        "shared memory does not answer: iceoryx2 waits for a file in /dev/shm that a process left unfinished when it died; remove \
+         the files there whose names begin with {prefix}, and start again"
     )]
     Hangs {
         /// What their names begin with.
         prefix: String,
     },
     /// The pool is being made; it is there for one of the next sweeps.
-    #[error("its shared memory is being taken")]
+    #[error("its shared memory is still being reserved")]
     Preparing,
     /// This sweep had no room in the pool; [`PublishStatus::trouble`](super::PublishStatus::trouble) says why.
     #[error("this sweep is not in shared memory")]

@@ -11,6 +11,7 @@
 //! keeper do, and [`Keeper::remove_unfinished`] is for a thread that looks after the process
 //! anyway.
 
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
 use std::thread;
@@ -21,7 +22,7 @@ use super::error::{JoinError, PublishError};
 use super::leftovers;
 use super::pool::SensorPool;
 use super::service::Service;
-use super::settings::{ServiceSettings, pool_bytes};
+use super::settings::ServiceSettings;
 
 /// How often services are looked after.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
@@ -68,6 +69,7 @@ impl Keeper {
         let work = KeeperThread {
             domain: domain.clone(),
             services: Vec::new(),
+            orphans: Vec::new(),
         };
         let started = thread::Builder::new()
             .name("keeper".to_owned())
@@ -150,6 +152,8 @@ impl Keeper {
 struct KeeperThread {
     domain: Domain,
     services: Vec<KeptService>,
+    /// Lists of participants without a service, at the last look.
+    orphans: Vec<PathBuf>,
 }
 
 /// A service that is looked after.
@@ -209,7 +213,10 @@ impl KeeperThread {
         let service = Service::open(
             &self.domain,
             &settings,
-            pool_bytes(settings.max_consumers, sweep_bytes),
+            settings
+                .topic
+                .pool_bytes(settings.max_consumers, sweep_bytes),
+            self.services.is_empty(),
         )?;
         let sensor_pool = Arc::new(SensorPool::new(settings));
         self.services.push(KeptService {
@@ -220,10 +227,16 @@ impl KeeperThread {
     }
 
     fn look(&mut self) {
-        leftovers::remove_unfinished(&self.domain);
+        let is_pending = leftovers::remove_unfinished(&self.domain);
         leftovers::remove_remains(&self.domain);
         for kept in &mut self.services {
             kept.look(&self.domain);
+        }
+        // Only now: a service that has lost its file has it again.
+        if !is_pending {
+            let services = self.services.iter().flat_map(|kept| &kept.service);
+            let lists: Vec<&Path> = services.flat_map(Service::lists).collect();
+            leftovers::remove_lists(&self.domain, &lists, &mut self.orphans);
         }
         // One cleans up for all.
         if let Some(service) = self.services.iter().find_map(|kept| kept.service.as_ref()) {
@@ -274,13 +287,16 @@ impl KeptService {
         let wanted = self.sensor_pool.wanted();
         let service = match &mut self.service {
             Some(service) => service,
-            none => none.insert(Service::open(domain, &self.sensor_pool.settings, 0)?),
+            none => none.insert(Service::open(domain, &self.sensor_pool.settings, 0, true)?),
         };
         if service.sweep_bytes() < wanted {
             // The pool before goes first: there is memory for one.
             self.sensor_pool.set_pool(None);
-            self.sensor_pool
-                .set_pool(Some(service.reserve(domain, wanted)?));
+            self.sensor_pool.set_pool(Some(service.reserve(
+                domain,
+                self.sensor_pool.settings.topic,
+                wanted,
+            )?));
         }
         Ok(())
     }

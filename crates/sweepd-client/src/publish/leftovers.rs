@@ -10,9 +10,13 @@
 
 use std::fs::{self, DirEntry, Metadata};
 use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
+use iceoryx2::prelude::*;
+
 use super::domain::{Domain, entries, name_of};
+use super::settings::Ipc;
 use crate::host::own_uid;
 
 /// Age from which an unfinished file has no maker any more.
@@ -79,6 +83,51 @@ fn remove_listeners(domain: &Domain) {
             && let Ok(metadata) = entry.metadata()
         {
             remove_if_abandoned(&entry, &metadata);
+        }
+    }
+}
+
+/// Removes lists of participants whose service does not exist: it is made after its list, and its
+/// maker died in between. Those of `known` services stay, and so does one that was no orphan at the
+/// last look: a living publisher puts the file of its service back within a second. Call when
+/// nothing unfinished is pending.
+pub(super) fn remove_lists(domain: &Domain, known: &[&Path], orphans: &mut Vec<PathBuf>) {
+    let mut lists = Vec::new();
+    for entry in domain.shared_memory() {
+        let (name, path) = (name_of(&entry), entry.path());
+        let number = name
+            .strip_suffix(".dynamic")
+            .and_then(|name| name.rsplit_once('_'))
+            .and_then(|(_, number)| number.parse::<u128>().ok());
+        if let (Some(number), Ok(metadata)) = (number, entry.metadata())
+            && is_abandoned(&metadata)
+            && !known.contains(&path.as_path())
+        {
+            lists.push((number, path));
+        }
+    }
+    let before = std::mem::take(orphans);
+    if lists.is_empty() {
+        return;
+    }
+    let files = entries(&domain.services()).count();
+    let mut services = Vec::new();
+    let listed = <Ipc as iceoryx2::service::Service>::list(&domain.config(), |details| {
+        services.push(details.static_details.unique_service_id().value());
+        CallbackProgression::Continue
+    });
+    // One that could not be read may be the service of any of them.
+    if listed.is_err() || services.len() < files {
+        return;
+    }
+    for (number, path) in lists {
+        if services.contains(&number) {
+            continue;
+        }
+        if before.contains(&path) {
+            let _ = fs::remove_file(path);
+        } else {
+            orphans.push(path);
         }
     }
 }

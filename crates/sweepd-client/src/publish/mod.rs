@@ -13,10 +13,11 @@
 //! * [`Subscriber`]: a consumer's side, which finds the service again after any failure of the
 //!   daemon.
 //!
-//! Each sensor has one service, `sweepd/<name>/sweep`, with an event of the same name that fires
-//! after each sweep. The payload is `[u8]`, the bytes that [`sweepd_core::sweep::layout`] defines;
-//! in front of it stands a [`Preamble`], whose alignment is also the payload's. The service's
-//! attributes say what it is: `schema` (version of the layout), `model`, `address`.
+//! Each sensor has a service `sweepd/<name>/sweep`, and an event of the same name that fires
+//! after each sweep; and another pair for objects, `sweepd/<name>/objects`. The payload is `[u8]`,
+//! the bytes that [`sweepd_core::sweep::layout`] and [`sweepd_core::sweep::objects`] define; in
+//! front of it stands a [`Preamble`], whose alignment is also the payload's. The service's
+//! attributes are `schema` (version of the layout), `model` and `address`.
 //!
 //! A slow, stuck or crashed consumer delays no other process: each has its own queue of
 //! [`BUFFERED`] sweeps, of which the oldest is dropped, and may hold [`BORROWED`] more. The
@@ -41,7 +42,7 @@ pub use error::{JoinError, PublishError};
 pub use keeper::Keeper;
 pub use loans::{Loans, Slot};
 pub use settings::{
-    BORROWED, BUFFERED, HISTORY, LOANED, NAME_RULE, Preamble, ServiceSettings, attributes,
+    BORROWED, BUFFERED, HISTORY, LOANED, NAME_RULE, Preamble, ServiceSettings, Topic, attributes,
     is_sensor_name, pool_sweeps,
 };
 pub use status::PublishStatus;

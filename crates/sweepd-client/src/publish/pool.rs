@@ -19,7 +19,7 @@ use super::domain::Domain;
 use super::error::{JoinError, PublishError};
 use super::files::SharedFile;
 use super::node::require_free;
-use super::settings::{Ipc, LOANED, OVERHEAD_BYTES, Preamble, ServiceSettings, pool_bytes};
+use super::settings::{Ipc, LOANED, OVERHEAD_BYTES, Preamble, ServiceSettings, Topic};
 use super::status::{PublishStatus, lock};
 use super::sys;
 
@@ -43,9 +43,11 @@ impl Pool {
         service: &PortFactory<Ipc, [u8], Preamble>,
         notifier: &Arc<Notifier<Ipc>>,
         domain: &Domain,
+        topic: Topic,
         sweep_bytes: usize,
     ) -> Result<Self, PublishError> {
-        let wanted = pool_bytes(service.static_config().max_subscribers(), sweep_bytes);
+        let max_consumers = service.static_config().max_subscribers();
+        let wanted = topic.pool_bytes(max_consumers, sweep_bytes);
         // The first pages are written before all are allocated, so that they must be free.
         require_free(wanted + OVERHEAD_BYTES)?;
         let publisher = service

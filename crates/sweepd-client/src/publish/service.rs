@@ -2,7 +2,7 @@
 
 use std::fs::{File, TryLockError};
 use std::os::unix::fs::OpenOptionsExt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -20,8 +20,8 @@ use super::leftovers::{self, ABANDONED_AFTER};
 use super::node::node;
 use super::pool::Pool;
 use super::settings::{
-    BORROWED, BUFFERED, HISTORY, Ipc, MORE_NODES, OVERHEAD_BYTES, PUBLISHERS, Preamble,
-    ServiceSettings, attribute, attributes, service_name,
+    BORROWED, Ipc, MORE_NODES, OVERHEAD_BYTES, PUBLISHERS, Preamble, ServiceSettings, Topic,
+    attribute, attributes, service_name,
 };
 use sweepd_core::sweep::layout::LAYOUT_VERSION;
 
@@ -53,21 +53,28 @@ pub(super) struct Service {
 }
 
 impl Service {
-    /// Opens or makes the service. `pool_bytes` is what its pool will need at least.
+    /// Opens or makes the service. `pool_bytes` is what its pool will need at least. The first of a
+    /// publisher cleans up before: others do not, while consumers of the first may connect.
     pub(super) fn open(
         domain: &Domain,
         settings: &ServiceSettings,
         pool_bytes: u64,
+        is_first: bool,
     ) -> Result<Self, PublishError> {
         domain.prepare()?;
-        let name = service_name(&settings.name).ok_or_else(|| PublishError::Name {
-            name: settings.name.clone(),
-        })?;
+        let name =
+            service_name(&settings.name, settings.topic).ok_or_else(|| PublishError::Name {
+                name: settings.name.clone(),
+            })?;
         let claim = Claim::take(domain, &name, settings)?;
-        leftovers::remove_remains(domain);
+        if is_first {
+            leftovers::remove_remains(domain);
+        }
         let node = node_when_possible(domain, pool_bytes.saturating_add(OVERHEAD_BYTES))?;
-        // Dead processes hold places in the service.
-        node.try_cleanup_dead_nodes();
+        if is_first {
+            // Dead processes hold places in services.
+            node.try_cleanup_dead_nodes();
+        }
         let OpenService {
             samples,
             event,
@@ -98,11 +105,18 @@ impl Service {
     pub(super) fn reserve(
         &mut self,
         domain: &Domain,
+        topic: Topic,
         bytes: usize,
     ) -> Result<Arc<Pool>, PublishError> {
         self.retired.extend(self.pool.take());
         self.tidy();
-        let pool = Arc::new(Pool::create(&self.samples, &self.notifier, domain, bytes)?);
+        let pool = Arc::new(Pool::create(
+            &self.samples,
+            &self.notifier,
+            domain,
+            topic,
+            bytes,
+        )?);
         Ok(Arc::clone(self.pool.insert(pool)))
     }
 
@@ -128,6 +142,15 @@ impl Service {
     /// A file that new consumers would not find, if any. A file of the service that a consumer of
     /// the one before removed is put back.
     pub(super) fn missing(&self) -> Option<PathBuf> {
+        // What cannot be put back comes first: a consumer must not find what is made again.
+        if !self.node_folder.is_dir() {
+            return Some(self.node_folder.clone());
+        }
+        let pool = self.pool.as_ref().map(|pool| &pool.file);
+        let mut shared = self.lists.iter().chain(pool);
+        if let Some(gone) = shared.find(|file| !file.is_there()) {
+            return Some(gone.path().to_owned());
+        }
         for file in &self.files {
             let is_there = match file.state() {
                 FileState::Same => true,
@@ -138,16 +161,12 @@ impl Service {
                 return Some(file.path().to_owned());
             }
         }
-        if !self.node_folder.is_dir() {
-            return Some(self.node_folder.clone());
-        }
-        let pool = self.pool.as_ref().map(|pool| &pool.file);
-        let gone = self
-            .lists
-            .iter()
-            .chain(pool)
-            .find(|file| !file.is_there())?;
-        Some(gone.path().to_owned())
+        None
+    }
+
+    /// The files of the lists of participants.
+    pub(super) fn lists(&self) -> impl Iterator<Item = &Path> {
+        self.lists.iter().map(SharedFile::path)
     }
 
     /// Removes its service files, so that it is made again and not opened with the remaining files.
@@ -333,9 +352,9 @@ fn open_samples(
         .max_publishers(PUBLISHERS)
         .max_subscribers(settings.max_consumers)
         .max_nodes(settings.max_consumers + MORE_NODES)
-        .subscriber_max_buffer_size(BUFFERED)
+        .subscriber_max_buffer_size(settings.topic.buffered())
         .subscriber_max_borrowed_samples(BORROWED)
-        .history_size(HISTORY)
+        .history_size(settings.topic.history())
         .enable_safe_overflow(true)
         .create_with_attributes(&described)
         .map_err(PublishError::service)
@@ -378,6 +397,7 @@ fn open_event(
 
 #[cfg(test)]
 mod tests {
+    use super::super::settings::Topic;
     use super::*;
     use crate::client::{Client, ClientError, SubscribeError};
 
@@ -388,7 +408,7 @@ mod tests {
         let domain = Domain::at(&root);
         domain.prepare().unwrap();
         let node = node(&domain, 0).unwrap();
-        let name = service_name("roof").unwrap();
+        let name = service_name("roof", Topic::Sweeps).unwrap();
         let (key, value) = attribute(attributes::SCHEMA, "1000000").unwrap();
         let described = AttributeSpecifier::new().define(&key, &value).unwrap();
         let samples = node
@@ -411,7 +431,7 @@ mod tests {
             max_consumers: 2,
             ..ServiceSettings::default()
         };
-        let service = Service::open(&domain, &settings, 0).unwrap();
+        let service = Service::open(&domain, &settings, 0, true).unwrap();
         assert!(client.next(Duration::ZERO).unwrap().is_none() && client.is_connected());
         // The holder of the other takes the file along, which is put back.
         drop(older);

@@ -25,15 +25,58 @@ pub(super) const MORE_NODES: usize = 8;
 
 /// Sweeps that the pool of one sensor has room for.
 pub const fn pool_sweeps(max_consumers: usize) -> usize {
-    max_consumers * (BUFFERED + BORROWED) + HISTORY + LOANED
+    pool_messages(max_consumers, BUFFERED, HISTORY)
 }
 
-/// Bytes of the pool of one sensor with sweeps of up to `sweep_bytes`; a number that no machine has
-/// where it overflows.
-pub(super) fn pool_bytes(max_consumers: usize, sweep_bytes: usize) -> u64 {
-    (pool_sweeps(max_consumers) as u64)
-        .saturating_mul(sweep_bytes as u64)
-        .min(u64::MAX / 2)
+/// Messages that a pool has room for, where each consumer has a queue of `buffered`, and one that
+/// comes late gets the last `history`.
+const fn pool_messages(max_consumers: usize, buffered: usize, history: usize) -> usize {
+    max_consumers * (buffered + BORROWED) + history + LOANED
+}
+
+/// What a service of a sensor carries.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Topic {
+    /// Sweeps: [`sweepd_core::sweep::layout`].
+    #[default]
+    Sweeps,
+    /// Objects while the head turns: [`sweepd_core::sweep::objects`].
+    Objects,
+}
+
+impl Topic {
+    /// Length of a consumer's queue; the oldest message is dropped for a newer one. A turn has about
+    /// forty messages of objects.
+    pub const fn buffered(self) -> usize {
+        match self {
+            Self::Sweeps => BUFFERED,
+            Self::Objects => 64,
+        }
+    }
+
+    /// Messages that a consumer which comes late gets: objects of the past are of no use.
+    pub(super) const fn history(self) -> usize {
+        match self {
+            Self::Sweeps => HISTORY,
+            Self::Objects => 0,
+        }
+    }
+
+    /// Bytes of shared memory that messages of up to `message_bytes` take; a number that no machine
+    /// has where it overflows.
+    pub fn pool_bytes(self, max_consumers: usize, message_bytes: usize) -> u64 {
+        (pool_messages(max_consumers, self.buffered(), self.history()) as u64)
+            .saturating_mul(message_bytes as u64)
+            .min(u64::MAX / 2)
+    }
+
+    /// The last part of the service's name.
+    fn ending(self) -> &'static str {
+        match self {
+            Self::Sweeps => "sweep",
+            Self::Objects => "objects",
+        }
+    }
 }
 
 /// Header in front of the bytes of a sweep: iceoryx2's user header.
@@ -72,6 +115,8 @@ const _: () = assert!(
 pub struct ServiceSettings {
     /// Name of the sensor.
     pub name: String,
+    /// What it carries.
+    pub topic: Topic,
     /// Consumers at most.
     pub max_consumers: usize,
     /// Model of the sensor, as far as known: an attribute for people and tools.
@@ -104,10 +149,11 @@ pub fn is_sensor_name(text: &str) -> bool {
     begins_well && is_allowed && text.len() <= 63
 }
 
-/// The service of a sensor.
-pub(super) fn service_name(sensor: &str) -> Option<ServiceName> {
+/// A service of a sensor.
+pub(super) fn service_name(sensor: &str, topic: Topic) -> Option<ServiceName> {
+    let name = format!("sweepd/{sensor}/{}", topic.ending());
     (!sensor.is_empty())
-        .then(|| format!("sweepd/{sensor}/sweep").as_str().try_into().ok())
+        .then(|| name.as_str().try_into().ok())
         .flatten()
 }
 
@@ -126,12 +172,3 @@ pub(super) fn attribute(key: &str, value: &str) -> Option<(AttributeKey, Attribu
 /// Shared memory that iceoryx2 needs for a process beside the pools: some files of a page each,
 /// with room to spare.
 pub(super) const OVERHEAD_BYTES: u64 = 256 * 1024;
-
-/// Only a service with this layout will do.
-pub(super) fn same_schema() -> AttributeVerifier {
-    let verifier = AttributeVerifier::new();
-    match attribute(attributes::SCHEMA, &LAYOUT_VERSION.to_string()) {
-        Some((key, value)) => verifier.require(&key, &value).unwrap_or_default(),
-        None => verifier,
-    }
-}

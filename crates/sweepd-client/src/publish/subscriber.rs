@@ -12,6 +12,7 @@ use iceoryx2::port::subscriber::{Subscriber as Port, SubscriberCreateError};
 use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
 use iceoryx2::service::attribute::AttributeKey;
+use iceoryx2::service::builder::event::EventOpenError;
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
@@ -20,11 +21,11 @@ use iceoryx2::service::static_config::messaging_pattern::MessagingPattern as Det
 use super::domain::{Domain, DomainError};
 use super::error::JoinError;
 use super::files::{FileState, ServiceFile};
-use super::leftovers;
 use super::node::node;
 use super::settings::{
-    BORROWED, Ipc, OVERHEAD_BYTES, Preamble, attributes, same_schema, sensor_name, service_name,
+    BORROWED, Ipc, OVERHEAD_BYTES, Preamble, Topic, attributes, sensor_name, service_name,
 };
+use super::{leftovers, sys};
 use sweepd_core::sweep::layout::{LAYOUT_VERSION, LayoutError};
 
 /// Longest sleep: then the files of the service are checked.
@@ -115,11 +116,21 @@ pub struct Subscriber {
     domain: Domain,
     name: String,
     service: ServiceName,
-    open: Option<Connection>,
+    open: Option<Box<Connection>>,
     looked: Instant,
     /// When the service first had no place for this consumer.
     full_since: Option<Instant>,
     reopened: u64,
+}
+
+/// What a look for the service gives.
+#[derive(Debug)]
+enum Found {
+    Service(Box<Connection>),
+    /// It is not there, or not yet whole.
+    Nothing,
+    /// The program handled a signal meanwhile: it decides what that means.
+    Interrupted,
 }
 
 /// An open service. Dropped in this order.
@@ -183,8 +194,8 @@ impl Subscriber {
     ///
     /// # Errors
     /// [`SubscribeError::Name`].
-    pub fn new(domain: &Domain, name: &str) -> Result<Self, SubscribeError> {
-        let service = service_name(name).ok_or_else(|| SubscribeError::Name {
+    pub fn new(domain: &Domain, name: &str, topic: Topic) -> Result<Self, SubscribeError> {
+        let service = service_name(name, topic).ok_or_else(|| SubscribeError::Name {
             name: name.to_owned(),
         })?;
         Ok(Self {
@@ -207,16 +218,19 @@ impl Subscriber {
         let deadline = Instant::now().checked_add(timeout);
         loop {
             if self.open.is_none() {
-                self.open = self.find_unless_full()?;
+                match self.find_unless_full()? {
+                    Found::Service(open) => self.open = Some(open),
+                    Found::Nothing => {}
+                    Found::Interrupted => return Ok(None),
+                }
             }
             let rest = deadline.map_or(LOOK_EVERY, |deadline| {
                 deadline.saturating_duration_since(Instant::now())
             });
             let Some(open) = &self.open else {
-                if rest.is_zero() {
+                if rest.is_zero() || !sys::sleep(rest.min(SEEK_EVERY)) {
                     return Ok(None);
                 }
-                std::thread::sleep(rest.min(SEEK_EVERY));
                 continue;
             };
             if let Some(received) = open.receive()? {
@@ -318,12 +332,12 @@ impl Subscriber {
 
     /// Looks for the service. That it is full is an error only when it stays so: consumers that
     /// died hold their places for at most a second.
-    fn find_unless_full(&mut self) -> Result<Option<Connection>, SubscribeError> {
+    fn find_unless_full(&mut self) -> Result<Found, SubscribeError> {
         match self.find() {
             Err(SubscribeError::Full { .. })
                 if self.full_since.get_or_insert_with(Instant::now).elapsed() < FULL_FOR =>
             {
-                Ok(None)
+                Ok(Found::Nothing)
             }
             found => {
                 self.full_since = None;
@@ -332,8 +346,7 @@ impl Subscriber {
         }
     }
 
-    /// Looks for the service: `None` when it is not there, or not yet whole.
-    fn find(&self) -> Result<Option<Connection>, SubscribeError> {
+    fn find(&self) -> Result<Found, SubscribeError> {
         let is_there = self.domain.exists()?;
         let path = self
             .domain
@@ -341,22 +354,33 @@ impl Subscriber {
         let Some(file) = ServiceFile::read(&path).filter(|_| is_there) else {
             // By such a file a daemon could not start: waiting does not mend it.
             self.domain.check_occupied()?;
-            return Ok(None);
+            return Ok(Found::Nothing);
         };
         let node = match node(&self.domain, OVERHEAD_BYTES) {
-            Err(JoinError::Pending) => return Ok(None),
+            Err(JoinError::Pending) => return Ok(Found::Nothing),
             node => node?,
         };
         let samples = node
             .service_builder(&self.service)
             .publish_subscribe::<[u8]>()
             .user_header::<Preamble>();
-        let service = match samples.open_with_attributes(&same_schema()) {
+        let service = match samples.open() {
             Ok(service) => service,
-            Err(error) => return self.explain(error).map_or(Ok(None), Err),
+            Err(error) => return self.explain(error),
         };
-        let Ok(event) = node.service_builder(&self.service).event().open() else {
-            return Ok(None);
+        // A tunnel from another host mirrors a service without its attributes: then the preamble of
+        // each sweep alone says its version.
+        let has_other_version = AttributeKey::try_from(attributes::SCHEMA)
+            .ok()
+            .and_then(|schema| service.attributes().key_value(&schema, 0))
+            .is_some_and(|version| version.to_string() != LAYOUT_VERSION.to_string());
+        if has_other_version {
+            return self.describe().map_or(Ok(Found::Nothing), Err);
+        }
+        let event = match node.service_builder(&self.service).event().open() {
+            Ok(event) => event,
+            Err(EventOpenError::Interrupt) => return Ok(Found::Interrupted),
+            Err(_) => return Ok(Found::Nothing),
         };
         let listener = event
             .listener_builder()
@@ -375,31 +399,32 @@ impl Subscriber {
             self.domain.node_folder(node.id()),
             self.domain.event_socket(listener.id().value()),
         ];
-        Ok(Some(Connection {
+        Ok(Found::Service(Box::new(Connection {
             samples: Arc::new(samples),
             listener,
             service,
             file,
             own_files,
             _node: node,
-        }))
+        })))
     }
 
-    /// What waiting does not mend.
-    fn explain(&self, error: PublishSubscribeOpenError) -> Option<SubscribeError> {
+    /// What it means that the service cannot be opened: an error if waiting does not mend it.
+    fn explain(&self, error: PublishSubscribeOpenError) -> Result<Found, SubscribeError> {
         use PublishSubscribeOpenError as E;
         let name = self.name.clone();
         match error {
+            E::Interrupt => Ok(Found::Interrupted),
             E::DoesNotExist
             | E::IsMarkedForDestruction
             | E::HangsInCreation
-            | E::ServiceInCorruptedState => None,
+            | E::ServiceInCorruptedState => Ok(Found::Nothing),
             E::IncompatibleAttributes | E::IncompatibleTypes | E::IncompatibleMessagingPattern => {
-                self.describe()
+                self.describe().map_or(Ok(Found::Nothing), Err)
             }
-            E::VersionMismatch => Some(SubscribeError::OtherIceoryx { name }),
-            E::ExceedsMaxNumberOfNodes => Some(SubscribeError::Full { name }),
-            other => Some(SubscribeError::service(other)),
+            E::VersionMismatch => Err(SubscribeError::OtherIceoryx { name }),
+            E::ExceedsMaxNumberOfNodes => Err(SubscribeError::Full { name }),
+            other => Err(SubscribeError::service(other)),
         }
     }
 

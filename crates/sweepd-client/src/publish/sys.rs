@@ -1,4 +1,5 @@
-//! What of shared memory no safe crate offers: taking its pages beforehand, and how many are left.
+//! What no safe crate offers: taking the pages of shared memory beforehand, how many are left, and a
+//! sleep that ends with a signal.
 
 #![allow(unsafe_code)]
 
@@ -6,6 +7,8 @@ use std::fs::File;
 use std::io;
 use std::mem::MaybeUninit;
 use std::os::fd::AsRawFd;
+use std::ptr;
+use std::time::Duration;
 
 /// Takes all pages of a file (posix_fallocate(3)): where there are not enough, that is an error
 /// here and not a signal at the first write to one that is missing.
@@ -16,6 +19,14 @@ pub(super) fn take_pages(file: &File, bytes: u64) -> io::Result<()> {
         0 => Ok(()),
         error => Err(io::Error::from_raw_os_error(error)),
     }
+}
+
+/// Sleeps for that long, in whole milliseconds (poll(2)). Whether that was the whole time: unlike
+/// `std::thread::sleep`, it ends when the program has handled a signal.
+pub(super) fn sleep(time: Duration) -> bool {
+    let ms = i32::try_from(time.as_millis()).unwrap_or(i32::MAX).max(1);
+    // SAFETY: no descriptors are passed, and so no memory of this program.
+    unsafe { libc::poll(ptr::null_mut(), 0, ms) == 0 }
 }
 
 /// Bytes of shared memory on this host: all there may be, and those that are free (statvfs(3)).
@@ -46,4 +57,40 @@ pub fn memory_bytes() -> io::Result<(u64, u64)> {
 /// What the system says.
 pub fn free_bytes() -> io::Result<u64> {
     memory_bytes().map(|(_, free)| free)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc;
+    use std::thread;
+    use std::time::Instant;
+
+    use super::*;
+    use crate::client::{Client, Domain};
+
+    const LONG: Duration = Duration::from_secs(60);
+
+    extern "C" fn handle(_: libc::c_int) {}
+
+    #[test]
+    fn a_signal_ends_the_wait_for_a_daemon_that_is_not_there() {
+        let handler: extern "C" fn(libc::c_int) = handle;
+        // SAFETY: the handler does nothing, and nothing else in this process uses the signal.
+        unsafe { libc::signal(libc::SIGUSR1, handler as libc::sighandler_t) };
+        let (sender, receiver) = mpsc::channel();
+        let begun = Instant::now();
+        let waits = thread::spawn(move || {
+            // SAFETY: it asks for a number.
+            sender.send(unsafe { libc::pthread_self() }).unwrap();
+            let mut client = Client::within(&Domain::at("/tmp/sweepd-none"), "roof").unwrap();
+            client.next(LONG).unwrap().is_none()
+        });
+        let thread = receiver.recv().unwrap();
+        while !waits.is_finished() && begun.elapsed() < LONG {
+            // SAFETY: the thread has not been joined.
+            unsafe { libc::pthread_kill(thread, libc::SIGUSR1) };
+            thread::sleep(Duration::from_millis(5));
+        }
+        assert!(waits.join().unwrap() && begun.elapsed() < LONG / 2);
+    }
 }

@@ -13,7 +13,7 @@ use super::order::{OrderedPacket, PacketGap};
 use super::row_offsets::RowOffsets;
 use crate::sweep::buffers::OpenBuffer;
 use crate::sweep::image::SweepMut;
-use crate::sweep::layout::{COLUMNS_CAPACITY, Column, ReturnChoice, Shape, flags};
+use crate::sweep::layout::{COLUMNS_CAPACITY, Column, ReturnChoice, Shape, TimeSource, flags};
 use crate::wire::data::ReturnMode;
 
 /// Speeds that a Velodyne is made for, with a margin, turns a minute.
@@ -114,6 +114,11 @@ impl Builder {
         self.lost
     }
 
+    /// See [`HeadTracker::field_of_view_cdeg`].
+    pub fn field_of_view_cdeg(&self) -> Option<(f64, f64)> {
+        self.head.field_of_view_cdeg()
+    }
+
     /// Index in [`PacketOrder`](super::order::PacketOrder) of the packet that is being placed, if
     /// there is one.
     pub fn current_packet(&self) -> Option<usize> {
@@ -140,11 +145,30 @@ impl Builder {
         } else {
             packets.ceil()
         };
-        let newest_ns = self
-            .last_firing_ns
-            .saturating_add(i64::from(self.decoder.spec.firing_period_ns(mode)));
+        let until_ns = (packets.max(1.0) * period_ns) as i64;
         self.clocks
-            .earliest_ns(newest_ns.saturating_add((packets.max(1.0) * period_ns) as i64))
+            .earliest_ns(self.newest_ns(mode).saturating_add(until_ns))
+    }
+
+    /// Earliest arrival of the packet with which this many columns of the open sweep are final, at
+    /// the present speed, nanoseconds since 1970. `None` where they are final, or will not be before
+    /// the sweep is complete: see [`Builder::so_far`].
+    pub fn final_ns(&self, columns: usize) -> Option<i64> {
+        let open = self.open.as_ref().filter(|open| open.may_become_turn())?;
+        let placed = open.columns - open.first_column;
+        let firings = (columns + self.row_offsets.lead()).saturating_sub(placed);
+        let spec = self.decoder.spec;
+        let packets = firings.div_ceil(spec.firings_per_packet(open.mode)) as i64;
+        let newest_ns = self.newest_ns(open.mode);
+        let period_ns = i64::from(spec.packet_period_ns(open.mode));
+        let due_ns = newest_ns.saturating_add(packets.saturating_mul(period_ns));
+        self.clocks.earliest_ns(due_ns).filter(|_| packets > 0)
+    }
+
+    /// The end of the newest firing.
+    fn newest_ns(&self, mode: ReturnMode) -> i64 {
+        let period_ns = i64::from(self.decoder.spec.firing_period_ns(mode));
+        self.last_firing_ns.saturating_add(period_ns)
     }
 
     /// Adds to the time spent on the open sweep, or on the next.
@@ -152,18 +176,24 @@ impl Builder {
         self.decode_ns += decode_ns;
     }
 
+    /// Time of the open sweep's first shot as far as it is known by now, and the clock that it is in.
+    pub fn begun_ns(&self, clock: &SensorClock) -> Option<(i64, TimeSource)> {
+        let open = self.open.as_ref()?;
+        // What the sweep itself is given is decided when it is complete.
+        let mut clocks = self.clocks;
+        Some(clocks.resolve(open.first_ns, clock, open.newest_arrival_ns))
+    }
+
     /// The open sweep so far, while it may still become a whole turn, and how many of its columns
     /// are final. The first columns, which fold may still change, are not counted.
     pub fn so_far<'a>(&mut self, buffer: &'a mut dyn OpenBuffer) -> Option<(SweepMut<'a>, usize)> {
-        let open = self.open.as_ref()?;
+        let open = self.open.as_ref().filter(|open| open.may_become_turn())?;
         let sweep = SweepMut::open(buffer.bytes()).ok()?;
-        if !open.from_cut || open.blanked {
-            return None;
-        }
         let placed = open.columns - open.first_column;
         sweep.header.margin_columns = open.first_column as u32;
         sweep.header.columns = placed as u32;
         sweep.header.flags = flags::CIRCULAR;
+        sweep.header.sensor_time_ns = open.first_ns;
         Some((sweep, placed.saturating_sub(self.row_offsets.lead())))
     }
 

@@ -98,6 +98,11 @@ impl FovEdge {
         self.moved_cdeg.map(|(cut_cdeg, _)| cut_cdeg)
     }
 
+    /// The sector that is left out, once that was the same one twice in a row.
+    pub fn sector(&self) -> Option<SectorSkip> {
+        self.last.filter(|_| self.alike >= ALIKE)
+    }
+
     /// Learns from a skip, at this speed of the head if it is known, for a sensor whose cut is
     /// configured to be at `cut_cdeg`.
     pub fn skipped(&mut self, skip: SectorSkip, speed: Option<HeadSpeed>, cut_cdeg: f64) {
@@ -179,6 +184,9 @@ mod tests {
     fn the_cut_moves_ahead_of_the_end_by_more_than_a_packet_once_it_was_the_same_twice() {
         let seen = [skip(9_080.0, 27_010.0), skip(9_100.0, 27_030.0)];
         assert_eq!(after(&seen[..1], 18_000.0).cut_cdeg(), None);
+        assert!(after(&seen[..1], 18_000.0).sector().is_none());
+        let sector = after(&seen, 18_000.0).sector().unwrap();
+        assert_eq!((sector.from_cdeg, sector.to_cdeg), (9_100.0, 27_030.0));
         let moved = after(&seen, 18_000.0).cut_cdeg().unwrap();
         assert!(
             (9_100.0 - 800.0..9_100.0 - 478.0 - 80.0).contains(&moved),

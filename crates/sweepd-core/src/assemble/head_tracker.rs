@@ -229,6 +229,16 @@ impl HeadTracker {
         true
     }
 
+    /// First and last azimuth of a limited field of view, clockwise, hundredths of a degree; `None`
+    /// while no sector is known to be left out.
+    pub fn field_of_view_cdeg(&self) -> Option<(f64, f64)> {
+        let sector = self.edge.sector()?;
+        Some(match sector.sense < 0.0 {
+            true => (sector.from_cdeg, sector.to_cdeg),
+            false => (sector.to_cdeg, sector.from_cdeg),
+        })
+    }
+
     fn begin_run(&mut self) {
         self.edge = FovEdge::default();
         self.cut_cdeg = self.configured_cdeg;

@@ -46,6 +46,13 @@ pub struct OpenSweep {
     pub newest_arrival_ns: i64,
 }
 
+impl OpenSweep {
+    /// Whether it may still become a whole turn.
+    pub fn may_become_turn(&self) -> bool {
+        self.from_cut && !self.blanked
+    }
+}
+
 /// A place in the open sweep: the column of a firing, and the offsets of its rows.
 #[derive(Clone, Copy)]
 pub struct ColumnTarget<'a> {

@@ -11,6 +11,7 @@ use crate::sensor::detect::{self, Detection};
 use crate::sensor::unit::{Unit, UnitUpdate};
 use crate::sensor::{Calibration, Model};
 use crate::sweep::buffers::OpenBuffer;
+use crate::sweep::layout::TimeSource;
 use crate::wire::DataPacket;
 use crate::wire::data::ReturnMode;
 use crate::wire::hdl64::Series;
@@ -252,6 +253,11 @@ impl Decoding {
     pub fn close(&mut self, buffer: &mut dyn OpenBuffer) -> bool {
         self.closing = self.closing && self.builder.interrupt(self.order.clock(), buffer);
         self.closing
+    }
+
+    /// Time of the open sweep's first shot as far as it is known by now, and its clock.
+    pub fn begun_ns(&self) -> Option<(i64, TimeSource)> {
+        self.builder.begun_ns(self.order.clock())
     }
 
     /// Whether the sensor has been silent for longer than [`STALL_NS`].

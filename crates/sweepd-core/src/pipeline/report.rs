@@ -63,7 +63,7 @@ pub enum Fault {
     OwnCalibration(String),
     /// The packets of an HDL-64E ended before its calibration was complete.
     #[error(
-        "no calibration: {known} of the {of} bytes of the one in its packets had come when they ended, and a whole one takes \
+        "no calibration: the packets ended after {known} of the {of} bytes of the calibration in them, and all of it takes \
          4160 packets"
     )]
     Uncalibrated {

@@ -1,6 +1,7 @@
 //! The segmenter, and how long it takes for a sweep.
 
 use crate::segment::Segmenter;
+use crate::segment::objects::Objects;
 use crate::sweep::SweepMut;
 
 /// A segmenter that writes into the header of each sweep how long it took.
@@ -40,6 +41,21 @@ impl TimedSegmenter {
         self.segmenter.spoil();
     }
 
+    /// Listens for objects, or no more.
+    pub(super) fn listen(&mut self, objects: Option<Objects>) {
+        self.segmenter.listen(objects);
+    }
+
+    /// Columns of the open sweep that must be final before more of it can be done early.
+    pub(super) fn next_columns(&self) -> usize {
+        self.segmenter.next_columns()
+    }
+
+    /// The listener, if there is one.
+    pub(super) fn objects(&mut self) -> Option<&mut Objects> {
+        self.segmenter.objects()
+    }
+
     /// The next sensor may sit elsewhere.
     pub(super) fn forget_height(&mut self) {
         self.segmenter.forget_height();
@@ -59,6 +75,7 @@ impl TimedSegmenter {
     pub(super) fn segment_early(&mut self, sweep: &mut SweepMut<'_>, ready: usize) {
         self.take_time(sweep.header.sequence);
         if self.segmenter.begin_early(sweep, ready) {
+            self.segmenter.tell_around_cut(sweep, ready);
             self.segment_strips(sweep);
         }
     }
@@ -90,6 +107,7 @@ impl TimedSegmenter {
             let joined_ns = (self.clock)();
             self.spent.ground_ns += without_ground_ns - begun_ns;
             self.spent.label_ns += joined_ns - without_ground_ns;
+            self.segmenter.tell(sweep);
             begun_ns = joined_ns;
         }
     }

@@ -8,19 +8,19 @@
 use fearless_simd::{Simd, prelude::*};
 
 use super::ground::SlopeGround;
-use super::order::{MAX_ROWS, STRIP, lane_of};
+use super::order::{MAX_ROWS, STRIP, Words, lane_read, push};
 use super::points::{Beams, Profile};
 use super::ranges::Ranges;
 
-/// The climb of the strips at hand.
+/// The climb of the strip at hand, and of the columns around it.
 #[derive(Clone, Debug)]
 pub(super) struct Climb {
     /// Height of the sensor over the ground, metres; `None` while it is unknown: then nothing is
     /// ground.
     pub height_m: Option<f32>,
-    /// Which columns of a row are ground, in the strip before, the one at hand and the next.
-    pub ground: [[u64; 3]; MAX_ROWS],
-    /// The next strip, row by row.
+    /// Which columns of a row are ground.
+    pub ground: [Words; MAX_ROWS],
+    /// The columns that were read, row by row.
     spots: Box<[Spots; MAX_ROWS]>,
 }
 
@@ -45,7 +45,7 @@ struct ClimbedRow {
 }
 
 impl Climb {
-    /// Climbs the columns of the next strip, which begins at this position.
+    /// Climbs the columns that were read, from this position on.
     #[inline(always)]
     pub fn next<S: Simd>(
         &mut self,
@@ -65,10 +65,10 @@ impl Climb {
             for first in (0..STRIP).step_by(S::i16s::LEN) {
                 let mut climber = Climber::new(simd);
                 for (row, spots) in self.spots[..rows].iter().enumerate().rev() {
-                    if (ranges.real[row][2] >> first).trailing_zeros() as usize >= S::i16s::LEN {
+                    if (ranges.read[row] >> first).trailing_zeros() as usize >= S::i16s::LEN {
                         continue;
                     }
-                    let real: S::i16s = ranges.steps.load(simd, lane_of(row) + STRIP + first);
+                    let real: S::i16s = ranges.steps.load(simd, lane_read(row) + first);
                     let away = spots.load(simd, first, 0);
                     let here = Foothold {
                         way: spots.load(simd, first, 1),
@@ -84,9 +84,8 @@ impl Climb {
         // From the top: the faces straight below where the way goes on level are ground, too.
         let mut kerb = 0;
         for (row, found) in found[..rows].iter().enumerate() {
-            let [_, here, next] = self.ground[row];
-            self.ground[row] = [here, next, found.ground | kerb & found.face];
-            kerb = kerb & (found.face | !ranges.real[row][2]) | found.goes_on;
+            push(&mut self.ground[row], found.ground | kerb & found.face);
+            kerb = kerb & (found.face | !ranges.read[row]) | found.goes_on;
         }
     }
 }
@@ -154,7 +153,7 @@ impl Steps {
 struct Spots([[i16; STRIP]; 3]);
 
 impl Spots {
-    /// Takes a row of the next strip, which begins at this position.
+    /// Takes a row of the columns that were read, from this position on.
     #[inline(always)]
     fn place<S: Simd>(
         &mut self,
@@ -168,7 +167,7 @@ impl Spots {
         let half = S::f32s::LEN;
         let beam = beams.row(row);
         for first in (0..STRIP).step_by(2 * half) {
-            let lane = lane_of(row) + STRIP + first;
+            let lane = lane_read(row) + first;
             let low_m: S::f32s = ranges.metres.load(simd, lane);
             let high_m: S::f32s = ranges.metres.load(simd, lane + half);
             let at = position + first;
@@ -286,6 +285,7 @@ mod tests {
     use super::*;
     use crate::assemble::lanes::levels;
     use crate::segment::Mount;
+    use crate::segment::order::AHEAD;
     use crate::segment::ranges::to_step;
     use crate::sensor::Beam;
     use crate::sweep::{BeamRow, Buffers, HeapBuffers, Shape, SweepMut};
@@ -311,11 +311,11 @@ mod tests {
                 let elevation_rad = height_m.atan2(away_m) + tilt;
                 sweep.beams[row] = BeamRow::new(&Beam::ideal(row, elevation_rad), 0);
                 for place in places {
-                    let lane = lane_of(row) + STRIP + place;
+                    let lane = lane_read(row) + place;
                     let range_m = away_m.hypot(height_m) as f32;
                     ranges.metres[lane] = range_m;
                     ranges.steps[lane] = to_step(range_m);
-                    ranges.real[row][2] |= 1 << place;
+                    ranges.read[row] |= 1 << place;
                 }
             }
             let mount = Mount {
@@ -334,14 +334,20 @@ mod tests {
                 climb.next(simd, &SlopeGround::default(), &beams, &ranges, STRIP);
             });
             found.extend(places.map(|place| {
-                let bit = |row: usize| (climb.ground[row][2] >> place & 1) as u32;
+                let bit = |row: usize| (ground(&climb, row) >> place & 1) as u32;
                 (0..column.len()).fold(0, |word, row| word | bit(row) << row)
             }));
-            assert!((0..MAX_ROWS).all(|row| climb.ground[row][2] & !ranges.real[row][2] == 0));
+            assert!((0..MAX_ROWS).all(|row| ground(&climb, row) & !ranges.read[row] == 0));
         }
         found.dedup();
         assert_eq!(found.len(), 1, "{found:?}");
         found[0]
+    }
+
+    /// What was found in the columns that were read.
+    fn ground(climb: &Climb, row: usize) -> u64 {
+        let [_, here, ahead] = climb.ground[row];
+        here >> AHEAD | ahead << (STRIP - AHEAD)
     }
 
     fn find(column: &[(f64, f64)]) -> u32 {

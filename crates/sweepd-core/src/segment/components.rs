@@ -20,6 +20,8 @@ pub(super) struct Components {
     sums: Vec<Sum>,
     /// Pairs of pieces that are not joined but near each other.
     nears: Vec<Near>,
+    /// How often these were thinned.
+    thinned: u32,
     /// For each small component the nearest that is not: the square of the distance, its first
     /// pixel, and its root.
     nearest: Vec<(f32, u32, u32)>,
@@ -31,11 +33,11 @@ pub(super) struct Components {
 
 /// A piece and another one that it may become part of.
 #[derive(Clone, Copy, Debug)]
-struct Near {
-    small: u32,
-    large: u32,
+pub(super) struct Near {
+    pub small: u32,
+    pub large: u32,
     /// Square of the distance, m².
-    apart2: f32,
+    pub apart2: f32,
 }
 
 /// What a segment's table row says of some points; distances in metres.
@@ -189,6 +191,18 @@ impl Components {
         self.sums[root as usize].points
     }
 
+    /// What a component measures so far.
+    #[inline(always)]
+    pub fn sum(&self, root: u32) -> Sum {
+        self.sums[root as usize]
+    }
+
+    /// Pairs of pieces that are near each other, and how often these were thinned: then they are
+    /// others than before.
+    pub fn nears(&self) -> (&[Near], u32) {
+        (&self.nears, self.thinned)
+    }
+
     /// Notes that a piece may become part of another one, as far away as this squared.
     #[inline(always)]
     pub fn note_near(&mut self, small: u32, large: u32, apart2: f32) {
@@ -206,6 +220,7 @@ impl Components {
     /// such pairs.
     #[cold]
     fn thin_nears(&mut self) {
+        self.thinned = self.thinned.wrapping_add(1);
         for index in 0..self.nears.len() {
             let Near { small, large, .. } = self.nears[index];
             self.nears[index].small = self.root(small);

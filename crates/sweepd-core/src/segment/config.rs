@@ -10,7 +10,7 @@ use super::order::{MOST_COLUMNS, MOST_ROWS};
 use super::paper::ground::PaperGround;
 use crate::sweep::layout::is_return;
 
-/// How ground is found.
+/// How ground is found, and what is joined.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Method {
     /// By slope, from the sensor's foot on: needs the sensor's height, configured or estimated.
@@ -94,13 +94,13 @@ pub enum ConfigError {
         rows: usize,
     },
     /// The gap.
-    #[error("segments have gaps of {found_m} m, expected more than 0")]
+    #[error("the gap is {found_m} m, expected more than 0")]
     Gap {
         /// Metres.
         found_m: f32,
     },
     /// How near another component has to be that a small one becomes part of.
-    #[error("small parts reach {found_m} m beyond the gap, expected 0 or more")]
+    #[error("the reach of small components beyond the gap is {found_m} m, expected 0 or more")]
     SmallReach {
         /// Metres.
         found_m: f32,

@@ -2,13 +2,14 @@
 //!
 //! The idea is Bogoslavskyi and Stachniss, "Fast Range Image-Based Segmentation of Sparse 3D Laser
 //! Scans for Online Operation" (IROS 2016): take the ground away, then join what is near in the
-//! range image by one angle test. There are two methods, and a [`Segmenter`] does either in the
-//! same four steps:
+//! range image by one angle test. There are two methods, and a [`Segmenter`] runs either in the
+//! same steps (`tell` only for the default method and with a listener):
 //!
 //! ```text
 //! begin         what the sweep says of its beams, and how high the sensor is      mask, mount
 //! find_ground   the ground of the next strip of columns                           ranges, points, climb
 //! join          what is no ground there: runs of neighbours, then windows         vote, runs, windows, near, components
+//! tell          objects that are complete, to the listener                      objects, seam
 //! label         components, small ones to others, labels and segments table       components, labels, extent
 //! ```
 //!
@@ -35,11 +36,13 @@ pub mod mask;
 pub mod mount;
 pub mod naive;
 mod near;
+pub mod objects;
 mod order;
 pub mod paper;
 pub mod points;
 mod ranges;
 mod runs;
+mod seam;
 pub mod settings;
 mod strips;
 mod turn;
@@ -52,7 +55,7 @@ pub use ground::SlopeGround;
 pub use joining::Joining;
 pub use mask::{Mask, MaskError};
 pub use mount::{HeightEstimator, Mount};
-pub use order::MAX_ROWS;
+pub use order::{MAX_ROWS, STRIP as STRIP_COLUMNS};
 pub use paper::ground::{PaperGround, Window};
 pub use settings::{SETTINGS, Setting};
 pub use turnover::turn_over;
@@ -60,13 +63,16 @@ pub use turnover::turn_over;
 use crate::sweep::SweepMut;
 use crate::sweep::layout::flags;
 use fearless_simd::Level;
+use objects::Objects;
 use paper::PaperSegmenter;
+use seam::Seam;
 use strips::Strips;
 
 /// The two returns of a dual pixel share a label when they are no further apart than this, metres.
 pub const SAME_OBJECT_M: f32 = 0.3;
 
-/// Labels sweeps, one after another; after the first in buffers of one size it allocates nothing.
+/// Labels sweeps, one after another; after the first in buffers of one size it allocates nothing,
+/// unless it has a listener.
 #[derive(Clone, Debug)]
 pub struct Segmenter {
     config: Config,
@@ -74,6 +80,8 @@ pub struct Segmenter {
     /// Estimates the height of the sensor where none is configured. `None`: headers tell it.
     height: Option<HeightEstimator>,
     strips: Strips,
+    /// What lies around the cut, if there is a listener.
+    seam: Option<Box<Seam>>,
     paper: PaperSegmenter,
     /// The sweep that was begun early, by its number.
     open: Option<u64>,
@@ -102,6 +110,7 @@ impl Segmenter {
             level,
             height: Some(HeightEstimator::default()),
             strips: Strips::new(level),
+            seam: None,
             paper: PaperSegmenter::default(),
             open: None,
             spoilt: None,
@@ -180,13 +189,13 @@ impl Segmenter {
         }
     }
 
-    /// Takes a sweep that is not complete: a whole turn by its header, of which this many columns
-    /// are as they will be. True where something can be done with it: then
-    /// [`Segmenter::find_ground`] and [`Segmenter::join`] are to be called until there is no more.
-    /// When it is complete, [`Segmenter::begin`] goes on where this stopped.
+    /// Takes a sweep that is not complete, with the header of a whole turn, of which the first
+    /// `ready` columns are final. Returns whether it can be segmented now: then call
+    /// [`Segmenter::find_ground`] and [`Segmenter::join`] until there is no more. When the sweep is
+    /// complete, [`Segmenter::begin`] goes on from there.
     ///
-    /// A sweep is known by its sequence number: another one has another, or [`Segmenter::spoil`] is
-    /// called in between.
+    /// Sweeps are told apart by their sequence numbers. Call [`Segmenter::spoil`] if columns that
+    /// were final have changed.
     pub fn begin_early(&mut self, sweep: &mut SweepMut<'_>, ready: usize) -> bool {
         let estimated_m = self.height.as_ref().and_then(HeightEstimator::height_m);
         let height_m = self.config.mount.height_m.or(estimated_m);
@@ -207,10 +216,24 @@ impl Segmenter {
         true
     }
 
-    /// What was taken early of a sweep has changed: all of it is taken again, when it is complete
-    /// and not before, so that many changes cost no more than one.
+    /// Columns of the open sweep that must be final before more of it can be done early. Of one that
+    /// was not begun, a lower bound.
+    pub fn next_columns(&self) -> usize {
+        if self.open.is_none() {
+            return STRIP_COLUMNS;
+        }
+        let columns = self.strips.next_columns();
+        let around_cut = self.seam.as_ref().and_then(|seam| seam.next_columns());
+        around_cut.map_or(columns, |around_cut| around_cut.min(columns))
+    }
+
+    /// Columns of a sweep that were segmented early have changed: the whole sweep is segmented
+    /// again, but only when it is complete, so that many changes cost no more than one.
     pub fn spoil(&mut self) {
         self.spoilt = self.open.take().or(self.spoilt);
+        if let Some(seam) = &mut self.seam {
+            seam.spoil();
+        }
     }
 
     /// Forgets how high the sensor is, where it is not configured: what comes next is from another
@@ -262,6 +285,34 @@ impl Segmenter {
         }
     }
 
+    /// Listens for objects from the next sweep on, or no more (`None`).
+    pub fn listen(&mut self, objects: Option<Objects>) {
+        self.seam = objects
+            .as_ref()
+            .map(|objects| Box::new(Seam::new(self.level, objects.max_width_rad())));
+        self.strips.objects = objects;
+    }
+
+    /// The listener, if there is one.
+    pub fn objects(&mut self) -> Option<&mut Objects> {
+        self.strips.objects.as_mut()
+    }
+
+    /// Tells the objects that became complete; after each [`Segmenter::join`] of a sweep that is
+    /// not complete. Without a listener it does nothing.
+    pub fn tell(&mut self, sweep: &SweepMut<'_>) {
+        self.strips.tell(sweep, &self.config);
+    }
+
+    /// Tells the objects around the cut that are complete by now, of a sweep that
+    /// [`Segmenter::begin_early`] has taken. Without a listener it does nothing.
+    pub fn tell_around_cut(&mut self, sweep: &SweepMut<'_>, ready: usize) {
+        let height_m = self.strips.height_m();
+        if let (Some(seam), Some(objects)) = (&mut self.seam, &mut self.strips.objects) {
+            seam.follow(sweep, ready, &self.config, height_m, objects);
+        }
+    }
+
     /// When all strips are joined: writes the labels, the segments table, and the header's counts.
     pub fn label(&mut self, sweep: &mut SweepMut<'_>) {
         match self.config.method {
@@ -276,6 +327,13 @@ impl Segmenter {
             }
         }
         label_other_returns(sweep, &self.config);
+        let has_height = self.config.method == Method::Paper || sweep.header.height_m > 0.0;
+        if let Some(objects) = &mut self.strips.objects {
+            objects.end(&sweep.as_ref(), has_height);
+        }
+        if let Some(seam) = &mut self.seam {
+            seam.keep(sweep);
+        }
     }
 }
 

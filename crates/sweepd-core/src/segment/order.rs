@@ -18,10 +18,12 @@ pub const MOST_ROWS: usize = 8;
 /// Columns that one instruction treats.
 pub(super) const LANES: usize = 16;
 /// Columns of a strip: a bit each of a word.
-pub(super) const STRIP: usize = 64;
+pub const STRIP: usize = 64;
 /// Columns before the strip at hand that are kept, and after a whole turn taken again: what a
 /// window reaches over.
 pub(super) const BEFORE: usize = 16;
+/// Columns behind the strip at hand that are read with it: the vote looks ahead.
+pub(super) const AHEAD: usize = LANES;
 
 /// The order in which the columns of an image are taken: a strip that only leads in, all columns,
 /// and for a whole turn the first ones once more, so that the end meets the beginning.
@@ -124,17 +126,32 @@ impl StripColumns {
     }
 }
 
-/// Lanes of a row: columns before the strip at hand, the strip, and the next one. Nine cache lines
-/// of 32-bit numbers, four and a half of 16-bit ones: no power of two, so that rows do not fall into
-/// the same places of a cache.
-pub(super) const STRIDE: usize = BEFORE + 2 * STRIP;
+/// Lanes of a row: columns before the strip at hand, the strip, and those ahead of it. Six cache
+/// lines of 32-bit numbers, three of 16-bit ones: no power of two, so that rows do not fall into the
+/// same places of a cache.
+pub(super) const STRIDE: usize = BEFORE + STRIP + AHEAD;
 /// Lanes of all rows that there can be, and of those that a window reaches beyond them.
 const ALL: usize = (MAX_ROWS + 2 * MOST_ROWS) * STRIDE;
+
+/// A bit for each column of the strip before, of the strip at hand, and of those ahead of it.
+pub(super) type Words = [u64; 3];
+
+/// Goes on to the next strip, with the word of its columns that were read, from [`AHEAD`] on.
+pub(super) fn push(words: &mut Words, read: u64) {
+    let [_, here, ahead] = *words;
+    *words = [here, ahead | read << AHEAD, read >> (STRIP - AHEAD)];
+}
 
 /// The lane of a row's first column in the strip at hand.
 #[inline(always)]
 pub(super) fn lane_of(row: usize) -> usize {
     (row + MOST_ROWS) * STRIDE + BEFORE
+}
+
+/// The lane of the first that was read with it.
+#[inline(always)]
+pub(super) fn lane_read(row: usize) -> usize {
+    lane_of(row) + AHEAD
 }
 
 /// A number for each lane of each row. Sixteen columns, counted from the first of a strip, are a

@@ -8,7 +8,7 @@ use super::config::Config;
 use super::directions::Directions;
 use super::ground::rows_apart_rad;
 use super::mount::Mount;
-use super::order::{LANES, MAX_ROWS, Order, STRIP};
+use super::order::{AHEAD, LANES, MAX_ROWS, Order, STRIP};
 use super::ranges::Ranges;
 use super::turn::turn_rad;
 use crate::sweep::corrected::Corrected;
@@ -78,13 +78,19 @@ pub fn placed(sweep: &SweepRef<'_>, config: &Config) -> Vec<Option<Placed>> {
     let mut beams = Beams::default();
     let mut ranges = Ranges::default();
     let mut all = vec![None; rows * columns];
+    if columns == 0 {
+        return all;
+    }
     dispatch!(Level::new(), simd => {
         beams.begin(sweep, Some(columns), &config.mount);
         let order = beams.order;
-        for position in (STRIP..order.end()).step_by(STRIP) {
+        for position in (0..order.end()).step_by(STRIP) {
             beams.look_up(simd, sweep, position);
-            ranges.fill(simd, sweep, config, order, position);
-            ranges.advance(rows);
+            ranges.fill(simd, sweep, config, order, position + AHEAD);
+            // The first strip only leads in.
+            if position == 0 {
+                continue;
+            }
             for (row, ahead) in (0..rows).flat_map(|row| (0..STRIP).map(move |ahead| (row, ahead))) {
                 let column = order.column(position + ahead).unwrap_or(0);
                 if ranges.real[row][1] >> ahead & 1 == 0 || position + ahead >= order.end() {

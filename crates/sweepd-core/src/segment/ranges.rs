@@ -2,14 +2,17 @@
 //! columns: an image lies column by column.
 //!
 //! ```text
-//! lanes of a row   | 16 before | strip at hand (64) | next strip (64) |
+//! lanes of a row   | 16 before | strip at hand (64)    | 16 ahead |
+//!                              | read before |    read (64)       |
 //! ```
 
 use fearless_simd::{Simd, f32x4, f32x16, i32x16, prelude::*};
 
 use super::config::Config;
 use super::mask::Mask;
-use super::order::{BEFORE, LANES, MAX_ROWS, Order, Plane, STRIDE, STRIP, lane_of};
+use super::order::{
+    BEFORE, LANES, MAX_ROWS, Order, Plane, STRIDE, STRIP, Words, lane_of, lane_read, push,
+};
 use super::turnover::{TILE, turn_over};
 use crate::sweep::SweepRef;
 
@@ -19,16 +22,17 @@ pub(super) const STEPS: f32 = 128.0;
 /// The range in 16 bits where there is no return: so far from all others that it is near to none.
 pub(super) const NO_RETURN: i16 = i16::MIN;
 
-/// The ranges of the strips at hand.
+/// The ranges of the strip at hand, and of the columns around it.
 #[derive(Clone, Debug)]
 pub(super) struct Ranges {
     /// Metres, as the sweep has it, also what may not be labelled.
     pub metres: Plane<f32>,
     /// The same in [`STEPS`], to the nearest; [`NO_RETURN`] where there is none that may be labelled.
     pub steps: Plane<i16>,
-    /// Which columns of a row hold a return that may be labelled, in the strip before, the one at
-    /// hand and the next.
-    pub real: [[u64; 3]; MAX_ROWS],
+    /// Which columns of a row hold a return that may be labelled.
+    pub real: [Words; MAX_ROWS],
+    /// The same of the 64 columns that were read.
+    pub read: [u64; MAX_ROWS],
 }
 
 /// Ranges in metres in [`STEPS`], at least one, with a half added: truncation rounds to the nearest.
@@ -49,15 +53,15 @@ impl Default for Ranges {
             metres: Plane::of(0.0),
             steps: Plane::of(NO_RETURN),
             real: [[0; 3]; MAX_ROWS],
+            read: [0; MAX_ROWS],
         }
     }
 }
 
 impl Ranges {
-    /// The next strip is at hand.
-    pub fn advance(&mut self, rows: usize) {
+    /// Goes on to the next strip.
+    fn advance(&mut self, rows: usize) {
         for row in 0..rows {
-            self.real[row].copy_within(1.., 0);
             let first = lane_of(row) - BEFORE;
             self.metres
                 .copy_within(first + STRIP..first + STRIDE, first);
@@ -71,7 +75,8 @@ impl Ranges {
         self.metres.load(simd, lane_of(row) + column)
     }
 
-    /// Reads the next strip, which begins at this position.
+    /// Goes on to the next strip: reads the 64 columns from this position on, the first of which
+    /// lies [`AHEAD`](super::order::AHEAD) columns behind the beginning of the strip.
     #[inline(always)]
     pub fn fill<S: Simd>(
         &mut self,
@@ -81,16 +86,18 @@ impl Ranges {
         order: Order,
         position: usize,
     ) {
+        self.advance(sweep.rows());
         self.turn(simd, sweep, order, position);
         if let Some(mask) = &config.mask {
             self.hide(mask, sweep, order, position);
         }
         for row in 0..sweep.rows() {
-            self.real[row][2] = self.limit(simd, config, row);
+            self.read[row] = self.limit(simd, config, row);
+            push(&mut self.real[row], self.read[row]);
         }
     }
 
-    /// Copies the ranges of the next strip, column by column into rows.
+    /// Copies ranges, column by column into rows.
     #[inline(always)]
     #[expect(
         clippy::needless_range_loop,
@@ -114,14 +121,14 @@ impl Ranges {
                 }
                 let tile = turn_over(tile);
                 for line in 0..TILE {
-                    let lane = lane_of(row + line) + STRIP + first;
+                    let lane = lane_read(row + line) + first;
                     self.metres.store(lane, tile[line]);
                 }
             }
         }
     }
 
-    /// Takes out what the mask hides of the next strip.
+    /// Takes out what the mask hides.
     fn hide(&mut self, mask: &Mask, sweep: &SweepRef<'_>, order: Order, position: usize) {
         for ahead in 0..STRIP {
             let Some(column) = order.column(position + ahead) else {
@@ -129,19 +136,19 @@ impl Ranges {
             };
             for row in 0..sweep.rows() {
                 if mask.hides(row, sweep.azimuth_rad(row, column)) {
-                    self.metres[lane_of(row) + STRIP + ahead] = 0.0;
+                    self.metres[lane_read(row) + ahead] = 0.0;
                 }
             }
         }
     }
 
-    /// Writes a row of the next strip in steps; which columns hold what may be labelled.
+    /// Writes what was read of a row in steps; which columns hold what may be labelled.
     #[inline(always)]
     fn limit<S: Simd>(&mut self, simd: S, config: &Config, row: usize) -> u64 {
         let mut real = 0;
         let no_return = f32x16::splat(simd, f32::from(NO_RETURN));
         for ahead in (0..STRIP).step_by(LANES) {
-            let lane = lane_of(row) + STRIP + ahead;
+            let lane = lane_read(row) + ahead;
             let range_m: f32x16<S> = self.metres.load(simd, lane);
             let is_real = range_m.simd_gt(0.0)
                 & range_m.simd_ge(config.min_range_m)

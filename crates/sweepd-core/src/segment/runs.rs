@@ -90,6 +90,9 @@ pub(super) struct Runs {
     /// First columns of the runs of a row, and the index of the first run.
     heads: Vec<(u64, usize)>,
     points: RowPoints,
+    /// Whether what each run of the strip at hand measures is kept, and what that is.
+    pub keeps_sums: bool,
+    pub sums: Vec<Sum>,
 }
 
 impl Default for Runs {
@@ -105,6 +108,8 @@ impl Default for Runs {
             from: 0,
             heads: Vec::new(),
             points: RowPoints::default(),
+            keeps_sums: false,
+            sums: Vec::new(),
         }
     }
 }
@@ -160,6 +165,7 @@ impl Runs {
         }
         self.jumps = self.jumps >> STRIP | u128::from(jumps) << STRIP;
         self.from = self.all.len();
+        self.sums.clear();
     }
 
     /// The label of a piece.
@@ -346,10 +352,14 @@ impl Runs {
                 let count = usize::from(run.count);
                 self.label.spread(lane_of(row) + first, count, label);
                 let count = count.min(counted.saturating_sub(first));
+                let mut sum = Sum::NONE;
                 if count > 0 {
                     let pixel = columns.least(first, count) * rows + row;
-                    let sum = Sum::of_run(simd, &self.points, row, first, count, pixel);
+                    sum = Sum::of_run(simd, &self.points, row, first, count, pixel);
                     components.measure(simd, root, &sum);
+                }
+                if self.keeps_sums {
+                    self.sums.push(sum);
                 }
             }
         }

@@ -2,7 +2,8 @@
 //!
 //! ```text
 //! begin         beams, height, limits
-//! find_ground   the ranges of the next strip, and how deep they lie; its columns are climbed
+//! find_ground   the ranges of the next strip and of what is ahead of it, and how deep they lie; its
+//!               columns are climbed
 //! join          the vote on the strip at hand, its runs, and what these are joined to
 //! label         components, small ones to others, segments table, labels
 //! ```
@@ -18,7 +19,8 @@ use super::config::Config;
 use super::joining;
 use super::labels::{Found, Labels};
 use super::near::Limits;
-use super::order::{BEFORE, LANES, Order, STRIP, lane_of, reserve};
+use super::objects::{Objects, Strip};
+use super::order::{AHEAD, BEFORE, LANES, Order, STRIP, lane_of, reserve};
 use super::points::Beams;
 use super::ranges::Ranges;
 use super::runs::{Bits, Runs};
@@ -33,7 +35,7 @@ pub(super) struct Strips {
     level: Level,
     climb: Climb,
     limits: Limits,
-    /// Strips that were read, with the one that leads in.
+    /// Strips that were at hand, with the one that leads in.
     at: usize,
     /// Columns that are as they will be, while the sweep is not complete.
     ready: Option<usize>,
@@ -41,8 +43,8 @@ pub(super) struct Strips {
     /// Angle between columns, radians.
     pitch_rad: f32,
     ranges: Ranges,
-    /// Columns of the strip at hand and of the next one that are no neighbours of those before.
-    jumps: [u64; 2],
+    /// Columns of the strip at hand that are no neighbours of those before.
+    jumps: u64,
     /// How deep below the sensor the lowest return of each column lies, position by position,
     /// metres; infinite where there is none.
     depths_m: Vec<f32>,
@@ -52,6 +54,8 @@ pub(super) struct Strips {
     /// Pieces of the first columns, row by row: what they hold for the second time is the same.
     first: Vec<[u32; BEFORE]>,
     labels: Labels,
+    /// The listener, if there is one.
+    pub objects: Option<Objects>,
 }
 
 impl Strips {
@@ -65,13 +69,14 @@ impl Strips {
             beams: Beams::default(),
             pitch_rad: 0.0,
             ranges: Ranges::default(),
-            jumps: [0; 2],
+            jumps: 0,
             depths_m: Vec::new(),
             runs: Runs::default(),
             windows: Windows::default(),
             components: Components::default(),
             first: Vec::new(),
             labels: Labels::default(),
+            objects: None,
         }
     }
 
@@ -92,7 +97,6 @@ impl Strips {
         self.climb.height_m = height_m;
         self.at = 0;
         self.ready = ready;
-        self.jumps = [0; 2];
         reserve(&mut self.depths_m, columns.next_multiple_of(STRIP));
         self.first.resize(rows, [0; BEFORE]);
         self.beams.reserve(columns);
@@ -100,6 +104,10 @@ impl Strips {
         self.windows.begin(rows);
         self.components.reserve(pixels);
         self.labels.begin(rows, columns, sweep.segments.len());
+        if let Some(objects) = &mut self.objects {
+            objects.begin(sweep.header, ready.is_some());
+        }
+        self.runs.keeps_sums = self.objects.is_some() && ready.is_some();
         let sweep = sweep.as_ref();
         let count = ready.is_none().then_some(sweep.columns.len());
         self.beams.begin(&sweep, count, &config.mount);
@@ -108,6 +116,7 @@ impl Strips {
     /// More columns are ready, or all (`None`).
     pub fn go_on(&mut self, sweep: &SweepMut<'_>, ready: Option<usize>) {
         self.ready = ready;
+        self.runs.keeps_sums &= ready.is_some();
         self.beams.order.columns = ready.is_none().then_some(sweep.header.columns as usize);
     }
 
@@ -140,13 +149,12 @@ impl Strips {
             // Each step by itself: together they are more than a compiler keeps in view.
             dispatch!(self.level, simd => self.read(simd, &sweep, config));
             dispatch!(self.level, simd => self.climb(simd, config));
-            // The runs of the strip at hand are placed.
-            let position = self.at.saturating_sub(1) * STRIP;
-            dispatch!(self.level, simd => self.beams.look_up(simd, &sweep, position));
             self.at += 1;
-            // The strip at hand is the one before the last that was read, and the first only leads
-            // in.
-            if self.at > 2 {
+            // The first only leads in.
+            if self.at > 1 {
+                // The runs of the strip at hand are placed.
+                let position = self.position();
+                dispatch!(self.level, simd => self.beams.look_up(simd, &sweep, position));
                 return true;
             }
         }
@@ -159,17 +167,22 @@ impl Strips {
             return false;
         }
         match (self.ready, order.columns) {
-            (Some(ready), _) => order.start + self.at * STRIP <= ready,
+            (Some(ready), _) => self.next_columns() <= ready,
             (None, columns) => {
-                columns.is_some_and(|columns| columns > 0) && self.at <= order.strips()
+                columns.is_some_and(|columns| columns > 0) && self.at < order.strips()
             }
         }
+    }
+
+    /// Columns that must be final for the next strip to be joined, of a sweep that is not complete.
+    pub fn next_columns(&self) -> usize {
+        self.beams.order.start + self.at * STRIP + AHEAD
     }
 
     /// Joins the runs of that strip with each other and with those before.
     pub fn join(&mut self, config: &Config) {
         let window_rows = config.joining.rows;
-        let jumps = self.jumps[0];
+        let jumps = self.jumps;
         let components = &mut self.components;
         dispatch!(self.level, simd => self.runs.advance(simd, window_rows, jumps, components));
         dispatch!(self.level, simd => self.vote(simd, config));
@@ -179,26 +192,45 @@ impl Strips {
         dispatch!(self.level, simd => self.meet(simd));
     }
 
+    /// Tells the listener the objects that are complete since the strip that was joined.
+    pub fn tell(&mut self, sweep: &SweepMut<'_>, config: &Config) {
+        if self.ready.is_some() && self.objects.is_some() {
+            let sweep = sweep.as_ref();
+            dispatch!(self.level, simd => self.tell_with(simd, &sweep, config));
+        }
+    }
+
+    #[inline(always)]
+    fn tell_with<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config) {
+        let strip = Strip {
+            sweep,
+            runs: &self.runs,
+            order: self.beams.order,
+            position: self.position(),
+            counted: self.counted(),
+            pitch_rad: self.pitch_rad,
+        };
+        if let Some(objects) = &mut self.objects {
+            let thresholds = [config.joining.small_points, config.min_points];
+            objects.follow(simd, strip, &mut self.components, thresholds);
+        }
+    }
+
     /// Writes labels and segments, and how many there are of each into the header.
     pub fn label(&mut self, sweep: &mut SweepMut<'_>, config: &Config) {
         dispatch!(self.level, simd => self.label_with(simd, sweep, config));
     }
 
-    /// Goes on to the next strip, and reads the one behind it: the vote looks ahead.
+    /// Goes on to the next strip, and reads what was not read of it before, and what is ahead of it.
     #[inline(always)]
     fn read<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config) {
-        let position = self.at * STRIP;
         let order = self.beams.order;
         if self.at == 0 {
             self.pitch_rad = joining::pitch_rad(sweep.columns, order);
             self.limits.set(sweep.beams, self.pitch_rad, config);
-        } else {
-            self.ranges.advance(self.beams.rows());
         }
-        self.jumps = [
-            self.jumps[1],
-            joining::jumps(sweep.columns, order, position, self.pitch_rad),
-        ];
+        self.jumps = joining::jumps(sweep.columns, order, self.at * STRIP, self.pitch_rad);
+        let position = self.at * STRIP + AHEAD;
         if self.beams.is_tilted() {
             self.beams.look_up(simd, sweep, position);
         }
@@ -210,26 +242,24 @@ impl Strips {
 
     #[inline(always)]
     fn climb<S: Simd>(&mut self, simd: S, config: &Config) {
-        let position = self.at * STRIP;
+        let position = self.at * STRIP + AHEAD;
         self.climb
             .next(simd, &config.slope, &self.beams, &self.ranges, position);
     }
 
-    /// Notes the depths of the strip that was read, of the columns that count.
+    /// Notes the depths of the columns that were read, of those that count.
     #[inline(always)]
     fn note_depths<S: Simd>(&mut self, simd: S) {
-        let position = self.at * STRIP;
+        let position = self.at * STRIP + AHEAD;
         let count = self.beams.order.end().saturating_sub(position).min(STRIP);
-        if self.at == 0 {
-            return;
-        }
-        for first in (0..count).step_by(LANES) {
+        let counted = STRIP.saturating_sub(position);
+        for first in (counted..count).step_by(LANES) {
             let mut depths_m = f32x16::splat(simd, f32::INFINITY);
             let mut open = 0xFFFF;
             for row in (0..self.beams.rows()).rev() {
-                let lowest = self.ranges.real[row][2] >> first & open;
+                let lowest = self.ranges.read[row] >> first & open;
                 if lowest != 0 {
-                    let range = self.ranges.load(simd, row, STRIP + first);
+                    let range = self.ranges.load(simd, row, AHEAD + first);
                     let profile =
                         self.beams
                             .profile(simd, self.beams.row(row), position + first, range);
@@ -249,7 +279,7 @@ impl Strips {
 
     /// Position of the strip at hand.
     fn position(&self) -> usize {
-        (self.at - 2) * STRIP
+        (self.at - 1) * STRIP
     }
 
     /// Columns of the strip at hand that count; the others are there for the second time.
@@ -382,7 +412,7 @@ mod tests {
 
     const ROWS: usize = 16;
 
-    /// So many columns of a turn of 100 or more, in which some pixels hold a return, and some
+    /// Columns of a turn of 100 or more, in which some pixels hold a return, and some
     /// columns none.
     fn noise(rng: &mut Rng, columns: usize, circular: bool) -> HeapBuffer {
         let shape = Shape {

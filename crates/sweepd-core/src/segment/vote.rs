@@ -1,12 +1,12 @@
 //! The vote on ground: neighbours in a row that have similar ranges agree.
 //!
 //! All is words: a bit a column of a strip, a word each for the strip before, the one at hand and
-//! the next.
+//! what is ahead of it.
 
 use fearless_simd::{Simd, prelude::*};
 
 use super::ground::SlopeGround;
-use super::order::{STRIP, lane_of};
+use super::order::{STRIP, Words, lane_of};
 use super::ranges::{Ranges, to_step};
 
 /// Neighbours on either side that vote.
@@ -19,7 +19,7 @@ pub(super) fn vote<S: Simd>(
     limits: &SlopeGround,
     ranges: &Ranges,
     row: usize,
-    ground: [u64; 3],
+    ground: Words,
 ) -> u64 {
     let real = ranges.real[row];
     let asked = within_reach(ground);
@@ -63,19 +63,23 @@ fn like<S: Simd>(simd: S, ranges: &Ranges, row: usize, back: usize, agree: i16) 
 
 /// The columns of three strips that those of the middle one can see.
 #[inline(always)]
-fn within_reach([before, here, next]: [u64; 3]) -> [u64; 3] {
-    [before >> (STRIP - VOTERS), here, next & ((1 << VOTERS) - 1)]
+fn within_reach([before, here, ahead]: Words) -> Words {
+    [
+        before >> (STRIP - VOTERS),
+        here,
+        ahead & ((1 << VOTERS) - 1),
+    ]
 }
 
 /// For each column of the middle strip the bit of the column this many before.
 #[inline(always)]
-fn before(strips: [u64; 3], back: usize) -> u64 {
+fn before(strips: Words, back: usize) -> u64 {
     strips[1] << back | strips[0] >> (STRIP - back)
 }
 
 /// For each column of the middle strip the bit of the column this many behind.
 #[inline(always)]
-fn after(strips: [u64; 3], ahead: usize) -> u64 {
+fn after(strips: Words, ahead: usize) -> u64 {
     strips[1] >> ahead | strips[2] << (STRIP - ahead)
 }
 
@@ -103,13 +107,14 @@ mod tests {
 
     use super::*;
     use crate::assemble::lanes::levels;
+    use crate::segment::order::AHEAD;
 
     /// The ground of a strip in a row of which these columns of the strip before, of the strip and
-    /// of the next hold a return, all at one range.
-    fn voted(alike: [u64; 3], climbed: [u64; 3]) -> u64 {
+    /// ahead of it hold a return, all at one range.
+    fn voted(alike: Words, climbed: Words) -> u64 {
         let mut ranges = Ranges::default();
         ranges.real[0] = alike;
-        for column in STRIP - VOTERS..3 * STRIP {
+        for column in STRIP - VOTERS..2 * STRIP + AHEAD {
             if alike[column / STRIP] >> (column % STRIP) & 1 == 1 {
                 ranges.steps[lane_of(0) + column - STRIP] = to_step(10.0);
             }

@@ -133,7 +133,7 @@ const VLP16: Spec = Spec {
     mistaken_unit_m: None,
     nominal: Some(Nominal {
         focal_radius_m: 0.041_91,
-        text: include_str!("../../../../calib/vlp16.yaml"),
+        text: include_str!("../../calib/vlp16.yaml"),
         file: "calib/vlp16.yaml",
     }),
 };
@@ -150,7 +150,7 @@ const PUCK_HIRES: Spec = Spec {
     product: Some(0x24),
     nominal: Some(Nominal {
         focal_radius_m: 0.041_91,
-        text: include_str!("../../../../calib/puck-hires.yaml"),
+        text: include_str!("../../calib/puck-hires.yaml"),
         file: "calib/puck-hires.yaml",
     }),
     ..VLP16
@@ -170,7 +170,7 @@ const HDL32E: Spec = Spec {
     }; 2],
     nominal: Some(Nominal {
         focal_radius_m: 0.028_83,
-        text: include_str!("../../../../calib/hdl32e.yaml"),
+        text: include_str!("../../calib/hdl32e.yaml"),
         file: "calib/hdl32e.yaml",
     }),
     ..VLP16
@@ -238,7 +238,7 @@ const VLP32C: Spec = Spec {
     distance_unit_m: 0.004,
     nominal: Some(Nominal {
         focal_radius_m: 0.042_4,
-        text: include_str!("../../../../calib/vlp32c.yaml"),
+        text: include_str!("../../calib/vlp32c.yaml"),
         file: "calib/vlp32c.yaml",
     }),
     ..VLP16
@@ -283,7 +283,7 @@ const VLS128: Spec = Spec {
     mistaken_unit_m: Some(0.007),
     nominal: Some(Nominal {
         focal_radius_m: 0.058_63,
-        text: include_str!("../../../../calib/vls128.yaml"),
+        text: include_str!("../../calib/vls128.yaml"),
         file: "calib/vls128.yaml",
     }),
     ..VLP16

@@ -7,6 +7,7 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 use super::corrected::Corrected;
 use super::layout::*;
+use super::pose::Pose;
 use crate::sensor::Model;
 use crate::sensor::model::Places;
 use crate::wire::data::{RECORDS, ReturnMode};
@@ -173,6 +174,12 @@ fn cast_mut<T: FromBytes + IntoBytes + KnownLayout + Immutable>(
     <[T]>::mut_from_bytes(bytes).map_err(|_| LayoutError::Bytes { bytes: found })
 }
 
+/// Copies to the beginning of a part; `false` where that is too short.
+fn fill<T: Copy>(part: &mut [T], from: &[T]) -> bool {
+    let room = part.get_mut(..from.len());
+    room.map(|part| part.copy_from_slice(from)).is_some()
+}
+
 /// The bytes of a sweep whose header was checked.
 struct PartBytes<'a> {
     header: &'a Header,
@@ -278,6 +285,46 @@ impl<'a> SweepRef<'a> {
         })
     }
 
+    /// The smallest shape that holds this sweep and this many segments.
+    pub fn packed_shape(&self, segments: usize) -> Shape {
+        Shape {
+            columns_capacity: self.columns.len(),
+            segments_capacity: segments,
+            ..self.header.shape()
+        }
+    }
+
+    /// Copies this sweep, without its margin, to bytes of this [packed shape](Self::packed_shape).
+    ///
+    /// # Errors
+    /// [`LayoutError::Bytes`] when they are too few or not aligned; [`LayoutError::Inconsistent`]
+    /// when the shape has less room than this sweep needs.
+    pub fn pack(&self, shape: &Shape, bytes: &mut [u8]) -> Result<(), LayoutError> {
+        let to = SweepMut::create(bytes, shape)?;
+        let empty = *to.header;
+        *to.header = *self.header;
+        to.header.margin_columns = 0;
+        to.header.segments = self.segments.len() as u32;
+        to.header.columns_capacity = empty.columns_capacity;
+        to.header.segments_capacity = empty.segments_capacity;
+        (to.header.offsets, to.header.total_bytes) = (empty.offsets, empty.total_bytes);
+        let copied = fill(to.range, self.range)
+            && fill(to.reflectivity, self.reflectivity)
+            && fill(to.label, self.label)
+            && fill(to.range2, self.range2)
+            && fill(to.reflectivity2, self.reflectivity2)
+            && fill(to.label2, self.label2)
+            && fill(to.kind, self.kind)
+            && fill(to.columns, self.columns)
+            && fill(to.beams, self.beams)
+            && fill(to.segments, self.segments);
+        if copied {
+            Ok(())
+        } else {
+            Err(LayoutError::Inconsistent)
+        }
+    }
+
     /// Rows of the image.
     pub fn rows(&self) -> usize {
         self.beams.len()
@@ -322,6 +369,26 @@ impl<'a> SweepRef<'a> {
     pub fn returns(&self) -> impl Iterator<Item = Return> + '_ {
         (0..self.columns.len()).flat_map(move |column| {
             (0..self.rows()).flat_map(move |row| self.pixel(row, column).into_iter().flatten())
+        })
+    }
+
+    /// The same with the points in another frame: `pose_at` gives the pose of the sensor in it at
+    /// the time of the return's own shot, nanoseconds since 1970 in the clock of
+    /// [`Header::time_source`]. With the poses of a moving sensor, this deskews the sweep.
+    ///
+    /// ```
+    /// # use sweepd_core::sweep::{Pose, SweepRef};
+    /// # fn odometry(time_ns: i64) -> Pose { Pose::IDENTITY }
+    /// # fn show(sweep: SweepRef<'_>) {
+    /// let mount = Pose::of_mount(sweep.header);
+    /// let on_robot = sweep.points_in(|_| mount);
+    /// let in_world = sweep.points_in(|time_ns| odometry(time_ns) * mount);
+    /// # }
+    /// ```
+    pub fn points_in(&self, mut pose_at: impl FnMut(i64) -> Pose) -> impl Iterator<Item = Return> {
+        self.returns().map(move |mut one| {
+            one.point_m = pose_at(one.time_ns).apply(one.point_m);
+            one
         })
     }
 
@@ -591,6 +658,38 @@ mod tests {
         assert!(sweep.returns().count() <= rows * columns * 2);
     }
 
+    /// A packed copy is the same sweep in no more bytes; a table that is too short is refused.
+    fn pack_and_compare(sweep: &SweepRef<'_>) {
+        let shape = sweep.packed_shape(sweep.segments.len());
+        assert!(shape.total_bytes() <= sweep.header.total_bytes as usize);
+        let mut buffer = HeapBuffers::default().take(shape.total_bytes());
+        sweep.pack(&shape, buffer.as_mut()).unwrap();
+        let packed = SweepRef::open(buffer.as_ref()).unwrap();
+        let parts = |sweep: &SweepRef<'_>| {
+            [
+                sweep.range.as_bytes().to_vec(),
+                sweep.reflectivity.to_vec(),
+                sweep.label.as_bytes().to_vec(),
+                sweep.range2.as_bytes().to_vec(),
+                sweep.reflectivity2.to_vec(),
+                sweep.label2.as_bytes().to_vec(),
+                sweep.kind.to_vec(),
+                sweep.columns.as_bytes().to_vec(),
+                sweep.beams.as_bytes().to_vec(),
+                sweep.segments.as_bytes().to_vec(),
+                // From the model on, but for the margin.
+                sweep.header.as_bytes()[124..236].to_vec(),
+                sweep.header.as_bytes()[240..].to_vec(),
+            ]
+        };
+        assert!(parts(&packed) == parts(sweep));
+        assert_eq!(packed.header.margin_columns, 0);
+        if let Some(fewer) = sweep.segments.len().checked_sub(1) {
+            let refused = sweep.pack(&sweep.packed_shape(fewer), buffer.as_mut());
+            assert_eq!(refused, Err(LayoutError::Inconsistent));
+        }
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(2000))]
 
@@ -621,6 +720,7 @@ mod tests {
             let len = bytes.len().saturating_sub(cut);
             if let Ok(sweep) = SweepRef::open(&bytes[..len]) {
                 ask_all(&sweep);
+                pack_and_compare(&sweep);
             }
         }
     }

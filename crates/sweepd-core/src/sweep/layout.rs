@@ -31,6 +31,7 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 use crate::sensor::Beam;
 
 pub use self::header::{Completion, HOST_FIELDS};
+pub(in crate::sweep) use self::header::{padded, text};
 pub(in crate::sweep) use self::shape::checked_shape;
 pub use self::shape::{LayoutError, Shape};
 
@@ -88,7 +89,8 @@ pub mod flags {
 pub enum TimeSource {
     /// The clock of the host or the capture: sensor time plus the least delay seen.
     Host = 0,
-    /// UTC from GPS: the pulse per second was locked and the sentence valid.
+    /// UTC from GPS: the pulse per second was locked and the sentence valid, or the sentence alone
+    /// with `gps_without_pps`.
     Gps = 1,
 }
 
@@ -205,7 +207,7 @@ pub struct Header {
     /// Segments that the table has room for.
     pub segments_capacity: u32,
     /// Code of the [`Model`](crate::sensor::Model): 1 VLP-16, 2 Puck LITE, 3 Puck Hi-Res, 4
-    /// HDL-32E, 5 HDL-64E S2 (or S2.1), 6 HDL-64E S3.
+    /// HDL-32E, 5 HDL-64E S2 (or S2.1), 6 HDL-64E S3, 7 VLP-32C (or VLP-32MR), 8 VLS-128.
     pub model: u32,
     /// [`ReturnMode::byte`](crate::wire::data::ReturnMode::byte).
     pub return_mode: u32,
@@ -275,8 +277,9 @@ pub struct Header {
     pub completed_ns: i64,
     /// CLOCK_MONOTONIC at the same moment, nanoseconds.
     pub completed_monotonic_ns: i64,
-    /// CLOCK_REALTIME when the publisher of this sweep began, nanoseconds since 1970: with
-    /// [`Header::sequence`] it identifies the sweep permanently. 0 where nothing is published.
+    /// CLOCK_REALTIME when this run of the sensor's pipeline began, nanoseconds since 1970: with
+    /// [`Header::sequence`] it identifies the sweep permanently. A reload that changes the sensor
+    /// begins another run. 0 where nothing is published.
     pub run_ns: i64,
     /// Source of the sensor's packets as text, zero padded.
     pub sensor: [u8; 64],

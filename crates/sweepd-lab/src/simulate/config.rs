@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use std::net::Ipv4Addr;
 
 use super::clock::{Clock, ClockStep};
-use super::head::{Encoder, FieldOfView, Motor, Pose};
+use super::head::{Encoder, FieldOfView, Motion, Motor, Pose};
 use super::optics::Optics;
 use super::shape::{Vec3, floor};
 use super::{street, unit};
@@ -37,8 +37,10 @@ pub struct EmitterConfig {
     /// Duration in data packets of a whole field of view; with a limited one, fewer are sent in
     /// that time.
     pub packets: u64,
-    /// Where it stands.
+    /// Where it stands at its first shot.
     pub pose: Pose,
+    /// How it goes on from there.
+    pub motion: Motion,
     /// How it reports where it points.
     pub encoder: Encoder,
     /// How well it sees.
@@ -78,6 +80,7 @@ impl EmitterConfig {
                 origin: Vec3::new(street::LANE_M, 0.0, 1.9),
                 heading_rad: 0.0,
             },
+            motion: Motion::default(),
             encoder: Encoder {
                 start_deg: 0.0,
                 jitter_deg: 0.02,
@@ -154,6 +157,11 @@ impl EmitterConfig {
             elapsed_ns,
             step.map_or(0, |step| step.by_ns),
         )
+    }
+
+    /// Where it is this long after its first shot, seconds.
+    pub fn pose_at(&self, time_s: f64) -> Pose {
+        self.motion.pose(&self.pose, time_s)
     }
 
     /// Where the head points, radians from 0 to a whole turn.

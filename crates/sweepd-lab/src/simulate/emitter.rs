@@ -39,6 +39,7 @@ pub struct Emitter<'a> {
     lasers: Vec<Laser>,
     /// The status for bytes 1204 and 1205, if these are not mode and product.
     status: Option<Status>,
+    scene: &'a Scene,
     /// The scene around a time, and the number of that time.
     view: (i64, View<'a>),
     schedule: Schedule,
@@ -78,14 +79,13 @@ impl<'a> Emitter<'a> {
             .iter()
             .map(|beam| Laser::new(beam, config.spec.distance_unit_m))
             .collect();
-        let eye = eye(&config.pose, &beams);
+        let view = (0, view(scene, &config, 0));
         let status = config
             .model
             .is_hdl64e()
             .then(|| Status::new(&config).expect("checked"));
-        let (time_s, half_s) = stretch_s(0);
-        let view = (0, View::new(scene, eye.0, eye.1, time_s, half_s));
         Self {
+            scene,
             lasers,
             status,
             view,
@@ -143,8 +143,12 @@ impl<'a> Emitter<'a> {
         let is_due = is_first || time_ns > (self.view.0 + 1) * VIEW_NS + VIEW_SLACK_NS;
         if is_due && self.view.0 != stretch {
             self.view.0 = stretch;
-            let (time_s, half_s) = stretch_s(stretch);
-            self.view.1.turn_to(time_s, half_s);
+            if self.config.motion.is_any() {
+                self.view.1 = view(self.scene, &self.config, stretch);
+            } else {
+                let (time_s, half_s) = stretch_s(stretch);
+                self.view.1.turn_to(time_s, half_s);
+            }
         }
     }
 
@@ -164,17 +168,19 @@ impl<'a> Emitter<'a> {
         // Lasers that fire together look along one direction of the head.
         let mut shot_ns = i64::MIN;
         let mut head_rad = 0.0;
+        let mut pose = config.pose;
         for (channel, laser) in self.lasers.iter().enumerate() {
             let time_ns = time_ns + i64::from(config.spec.channel_offset_ns(channel, draft.mode));
             if time_ns != shot_ns {
                 shot_ns = time_ns;
                 head_rad = config.azimuth_rad(time_ns);
+                pose = config.pose_at(time_ns as f64 * 1e-9);
             }
             let aim = laser.aimed(head_rad);
             let guess_m = draft.met_m[channel];
             let shot = Shot {
                 aim,
-                pose: &config.pose,
+                pose: &pose,
                 time_s: time_ns as f64 * 1e-9,
                 guess_m,
             };
@@ -243,6 +249,14 @@ fn within_turn(azimuth_rad: f64) -> f64 {
     } else {
         azimuth_rad.rem_euclid(TAU)
     }
+}
+
+/// The scene as the sensor sees it during a stretch of time.
+fn view<'a>(scene: &'a Scene, config: &EmitterConfig, stretch: i64) -> View<'a> {
+    let (time_s, half_s) = stretch_s(stretch);
+    let (eye, around_m) = eye(&config.pose_at(time_s), &config.beams());
+    let way_m = config.motion.velocity.norm() * half_s;
+    View::new(scene, eye, around_m + way_m, time_s, half_s)
 }
 
 /// The origins of a sensor's beams: their middle, and the distance of the farthest from it, metres.

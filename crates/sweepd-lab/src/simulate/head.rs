@@ -1,4 +1,4 @@
-//! The turning head: its pose, its motion, and its encoder.
+//! The turning head: its pose, its motion through the scene, its motor, and its encoder.
 
 use fastrand::Rng;
 
@@ -22,6 +22,30 @@ impl Pose {
         }
         let (sin, cos) = self.heading_rad.sin_cos();
         Vec3::new(way.x * cos + way.y * sin, way.y * cos - way.x * sin, way.z)
+    }
+}
+
+/// How the sensor moves through the scene.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Motion {
+    /// Along the axes of the scene, metres a second.
+    pub velocity: Vec3,
+    /// Clockwise seen from above, as azimuths are, radians a second.
+    pub turn_rad_s: f64,
+}
+
+impl Motion {
+    /// Whether it moves at all.
+    pub(super) fn is_any(&self) -> bool {
+        *self != Self::default()
+    }
+
+    /// The pose this long after another, seconds.
+    pub fn pose(&self, start: &Pose, time_s: f64) -> Pose {
+        Pose {
+            origin: start.origin + self.velocity * time_s,
+            heading_rad: start.heading_rad + self.turn_rad_s * time_s,
+        }
     }
 }
 

@@ -74,7 +74,7 @@ pub use config::EmitterConfig;
 pub use damage::{Damage, PacketPart};
 pub use delivery::{Faults, deliver};
 pub use emitter::Emitter;
-pub use head::{FieldOfView, Motor, SpeedChange};
+pub use head::{FieldOfView, Motion, Motor, Pose, SpeedChange};
 pub use plan::Rates;
 pub use scene::{Class, Scene};
 pub use setting::Setting;

@@ -2,6 +2,7 @@
 
 use nalgebra::{Quaternion, Rotation3, UnitQuaternion, Vector3};
 use sweepd_core::segment::Mount;
+use sweepd_core::sweep::Pose;
 use sweepd_core::sweep::layout::flags;
 use sweepd_messages::diagnostics::{Level, Status};
 use sweepd_messages::graph::{GidForm, Node};
@@ -157,6 +158,8 @@ fn the_mount_brings_points_into_the_frame_of_the_robot() {
         let moved = UnitQuaternion::new_unchecked(quaternion) * ros(point_m) + translation;
         let expected = ros(in_robot.into()) + ros(header.position_m.map(f64::from));
         assert!((moved - expected).norm() < 1e-9, "{moved} {expected}");
+        let pose = Pose::ROS * Pose::of_mount(header);
+        assert!((Vector3::from(pose.apply(point_m)) - moved).norm() < 1e-9);
         let height_m = moved.z - f64::from(header.position_m[2]);
         assert!((mount.up().height_m(point_m) - height_m).abs() < 1e-9);
     }

@@ -592,12 +592,7 @@ impl Shared {
                 payload,
             } => {
                 let key = key.or_else(|| parameters::guid(payload, parameters::ENDPOINT_GUID));
-                let key = key.filter(|key| key.prefix == prefix);
-                state.discovery.subscription_ended(prefix, number, key);
-                for (_, writer) in state.writers.values_mut() {
-                    writer.remove_readers(|guid| Some(guid) == key);
-                }
-                state.ways.drop_unused();
+                state.subscription_ended(prefix, number, key.filter(|key| key.prefix == prefix));
             }
             Submessage::Data {
                 writer: wire::SUBSCRIPTIONS_WRITER,
@@ -691,6 +686,14 @@ impl State {
             writer.remove_readers(|guid| guid.prefix == prefix);
         }
         self.ways.forget(prefix);
+    }
+
+    fn subscription_ended(&mut self, prefix: Prefix, number: u64, key: Option<Guid>) {
+        self.discovery.subscription_ended(prefix, number, key);
+        for (_, writer) in self.writers.values_mut() {
+            writer.remove_readers(|guid| Some(guid) == key);
+        }
+        self.ways.drop_unused();
     }
 
     fn subscription(&mut self, prefix: Prefix, number: u64, payload: &[u8], out: &mut Outbox) {

@@ -18,7 +18,8 @@ use sweepd_core::sensor::model::Spec;
 use sweepd_core::sensor::{Calibration, Model};
 use sweepd_core::wire::data::ReturnMode;
 use sweepd_lab::simulate::clock::{Clock, Reception};
-use sweepd_lab::simulate::{EmitterConfig, Motor, Setting};
+use sweepd_lab::simulate::shape::Vec3;
+use sweepd_lab::simulate::{EmitterConfig, Motion, Motor, Setting};
 
 /// Most sensors: their addresses are 192.168.1.201 to .254.
 const MAX_SENSORS: usize = 54;
@@ -74,8 +75,8 @@ pub struct Args {
     /// One return a shot, the strongest, or two; an hdl64e-s2 has one
     #[arg(long, alias = "return", value_name = "WHICH", value_enum, default_value_t = Returns::Single)]
     pub(super) returns: Returns,
-    /// Simulate this unit: db.xml or ROS YAML [default: the model's own table; of an HDL-64E, a
-    /// unit that is made up, another one for each seed]
+    /// Simulate this unit: db.xml or ROS YAML [default: the model's own table; of an HDL-64E, an
+    /// invented unit, which depends on --seed]
     #[arg(long, value_name = "FILE")]
     pub(super) calibration: Option<PathBuf>,
     /// From one firing to the next: 48 or 57.6 of an hdl64e-s3 with one return, of which sources
@@ -92,6 +93,15 @@ pub struct Args {
         value_parser = within(0.0..=20.0, "percent"), allow_negative_numbers = true
     )]
     pub(super) rpm_drift: f64,
+    /// The sensors move: to the right and ahead in the scene, metres a second
+    #[arg(long, value_name = "RIGHT,AHEAD", default_value = "0,0", value_parser = velocity, allow_hyphen_values = true)]
+    pub(super) velocity: Vec3,
+    /// The sensors turn, clockwise seen from above, degrees a second
+    #[arg(
+        long, value_name = "DEG", default_value = "0",
+        value_parser = within(-360.0..=360.0, "degrees a second"), allow_negative_numbers = true
+    )]
+    pub(super) turn_rate: f64,
     /// For how long [default: 10]
     #[arg(
         long,
@@ -196,6 +206,15 @@ fn gps_second(text: &str) -> Option<i64> {
     Some((seconds * 1e9) as i64)
 }
 
+/// `RIGHT,AHEAD`, metres a second.
+fn velocity(text: &str) -> Result<Vec3, String> {
+    let parse = within(-100.0..=100.0, "metres a second");
+    let (right, ahead) = text
+        .split_once(',')
+        .ok_or_else(|| "expected RIGHT,AHEAD in metres a second, such as 0,15".to_owned())?;
+    Ok(Vec3::new(parse(right)?, parse(ahead)?, 0.0))
+}
+
 /// Microseconds.
 fn firing_period(text: &str) -> Result<f64, String> {
     text.parse()
@@ -218,20 +237,20 @@ fn seed(text: &str) -> Result<u64, String> {
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "A real scan instead of a scene")]
 pub struct CloudOptions {
-    /// Encode this KITTI cloud (x forward, y left, z up, remission as f32, ring after ring) as what
-    /// an HDL-64E S2 with the given --calibration would have sent, at 600 turns a minute unless
-    /// --rpm is given: one turn, with a part of a turn before and behind it; with --seconds, the
-    /// same turn again and again. A point goes to the firing that stands for its column of the
-    /// image of `sweepd segment`: its range comes back, its azimuth to about a column; of two
-    /// points without room the nearer is sent
+    /// Encode this KITTI cloud (x forward, y left, z up, remission as f32, ring after ring) as the
+    /// packets of an HDL-64E S2 with the given --calibration, at 600 turns a minute unless --rpm is
+    /// given: one turn, with a part of a turn before and after it; with --seconds, the same turn
+    /// repeated. Each point goes to the firing of its column in the image of `sweepd segment`, so
+    /// that its range is kept, and its azimuth to about a column; where two points find no room,
+    /// the nearer one is sent
     #[arg(
         long,
         value_name = "FILE.bin",
-        conflicts_with_all = ["models", "scene", "returns", "spin_up", "stall", "mode_switch", "new_rpm", "fov", "clock_step", "exchange"]
+        conflicts_with_all = ["models", "scene", "returns", "velocity", "turn_rate", "spin_up", "stall", "mode_switch", "new_rpm", "fov", "clock_step", "exchange"]
     )]
     pub(super) from_cloud: Option<PathBuf>,
-    /// Fit each beam's elevation and vertical offset to the scan, and write the calibration to
-    /// replay with: those of another unit bend flat ground
+    /// Fit each beam's elevation and vertical offset to the scan, and write that calibration for
+    /// the replay: with the elevations of another unit, flat ground is bent
     #[arg(long)]
     pub(super) fit_elevations: bool,
     /// Where to write the fitted calibration, ROS YAML [default: NAME.yaml beside the NAME.pcap]
@@ -359,6 +378,10 @@ impl Args {
             config.fov = self.faults.fov;
             config.clock_step = self.faults.clock_step;
             config.pose = self.scene.pose(number);
+            config.motion = Motion {
+                velocity: self.velocity,
+                turn_rad_s: self.turn_rate.to_radians(),
+            };
             config.clock = self.gps.clock();
             config.start_utc_ns = start_utc_ns;
             config.address = Ipv4Addr::new(192, 168, 1, 201 + number as u8);

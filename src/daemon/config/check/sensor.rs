@@ -2,15 +2,17 @@
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddrV4};
 use std::ops::{Range, RangeInclusive};
+use std::str::FromStr;
 
 use toml::Spanned;
 
 use super::Check;
 use crate::daemon::config::error::Problem;
 use crate::daemon::config::file;
-use crate::daemon::config::{PortConfig, SensorConfig, possible_models};
+use crate::daemon::config::{ObjectsConfig, PortConfig, SensorConfig, possible_models};
 use crate::daemon::losses::Limits;
 use crate::files;
+use crate::sensor_settings::{Rpm, Settings};
 use crate::suggest::suggestion;
 use sweepd_client::publish::{NAME_RULE, is_sensor_name};
 use sweepd_core::pipeline;
@@ -26,8 +28,9 @@ const MAX_CONSUMERS: usize = 4;
 const CONSUMERS: RangeInclusive<i64> = 1..=16;
 /// Priorities of SCHED_FIFO (sched(7)).
 const REALTIME_PRIORITIES: RangeInclusive<i64> = 1..=99;
-/// Speeds that a Velodyne can be set to, turns a minute.
-const RPM: RangeInclusive<f64> = 300.0..=1200.0;
+/// How long objects may wait, milliseconds, and how wide they may be, degrees.
+const OBJECTS_EVERY_MS: RangeInclusive<i64> = 1..=100;
+const MAX_OBJECT_DEG: RangeInclusive<f64> = 5.0..=360.0;
 /// Shares of packets that may be missing, percent.
 const LOSS_PERCENT: RangeInclusive<f64> = 0.1..=100.0;
 /// Distances from the origin of a robot, metres, and turns, degrees.
@@ -46,10 +49,11 @@ impl Check<'_> {
         let port = self.port(sensor);
         let position_port = self.whole("position_port", &sensor.position_port, PORTS);
         let max_consumers = self.whole("max_consumers", &sensor.max_consumers, CONSUMERS);
-        let rpm = self.number("rpm", &sensor.rpm, RPM, "turns a minute");
+        let objects = self.objects(sensor);
         let losses = self.losses(sensor);
         let model = self.model(&sensor.model);
         self.returns_are_of(model, &sensor.dual);
+        let want = self.want(&sensor.want, model);
         let pipeline = self.pipeline(sensor, model, at);
         let (ip, source_port) = source?;
         Some(SensorConfig {
@@ -59,8 +63,9 @@ impl Check<'_> {
             port,
             position_port: position_port.unwrap_or(POSITION_PORT),
             max_consumers: max_consumers.unwrap_or(MAX_CONSUMERS),
+            objects,
             dual: sensor.dual.as_ref().map(|dual| *dual.get_ref()),
-            rpm: rpm.map(|rpm| rpm as f32),
+            want,
             losses,
             pipeline: pipeline?,
         })
@@ -156,6 +161,21 @@ impl Check<'_> {
         Some(cpu)
     }
 
+    fn objects(&mut self, sensor: &file::Sensor) -> ObjectsConfig {
+        let every_ms: Option<i64> = self.whole(
+            "objects_every_ms",
+            &sensor.objects_every_ms,
+            OBJECTS_EVERY_MS,
+        );
+        let given = &sensor.max_object_deg;
+        let max_deg = self.number("max_object_deg", given, MAX_OBJECT_DEG, "degrees");
+        let default = ObjectsConfig::default();
+        ObjectsConfig {
+            every_ns: every_ms.map_or(default.every_ns, |ms| ms * 1_000_000),
+            max_width_rad: max_deg.map_or(default.max_width_rad, |deg| deg.to_radians() as f32),
+        }
+    }
+
     /// Where one limit of two is given, the default of the other gives way.
     fn losses(&mut self, sensor: &file::Sensor) -> Limits {
         let given_warning = &sensor.loss_warning_percent;
@@ -214,6 +234,54 @@ impl Check<'_> {
             )
             .cure = Some("one that sends two is an HDL-64E S3: `model = \"hdl64e-s3\"`".to_owned());
         }
+    }
+
+    /// What it should be set to.
+    fn want(&mut self, written: &file::Want, model: Option<Model>) -> Settings {
+        let is_hdl64e = model.is_some_and(Model::is_hdl64e);
+        let rpm = self.whole("rpm", &written.rpm, Rpm::RANGE);
+        if let (Some(given), Some(rpm)) = (&written.rpm, rpm)
+            && i64::from(rpm) % Rpm::STEP != 0
+            && !is_hdl64e
+        {
+            let title = format!("`rpm` cannot be {rpm}");
+            self.problem(given.span(), title, "expected a multiple of 60");
+        }
+        let web_alone = [
+            ("laser", &written.laser),
+            ("host", &written.host),
+            ("phase_lock", &written.phase_lock),
+        ];
+        for (key, given) in web_alone {
+            if let Some(given) = given.as_ref().filter(|_| is_hdl64e) {
+                let title = format!("`{key}` of an HDL-64E cannot be read");
+                self.problem(given.span(), title, "it has no web interface");
+            }
+        }
+        Settings {
+            rpm: rpm.map(Rpm),
+            returns: self.wanted("returns", &written.returns),
+            fov: self.wanted("fov", &written.fov),
+            laser: self.wanted("laser", &written.laser),
+            host: self.wanted("host", &written.host),
+            phase_lock: self.wanted("phase_lock", &written.phase_lock),
+            ..Settings::default()
+        }
+    }
+
+    /// A setting, in the words of the command line.
+    fn wanted<T: FromStr<Err = &'static str>>(
+        &mut self,
+        key: &str,
+        given: &Option<Spanned<String>>,
+    ) -> Option<T> {
+        let given = given.as_ref()?;
+        let value = given.get_ref().parse();
+        if let Err(expected) = value {
+            let title = format!("`{key}` cannot be {:?}", given.get_ref());
+            self.problem(given.span(), title, expected);
+        }
+        value.ok()
     }
 
     fn pipeline(

@@ -5,7 +5,7 @@ use fearless_simd::{Level, Simd, dispatch};
 use crate::segment::Config;
 use crate::segment::components::Sum;
 use crate::segment::extent::Extent;
-use crate::segment::order::STRIP;
+use crate::segment::order::{AHEAD, STRIP};
 use crate::segment::points::{Beams, RowPoints};
 use crate::segment::ranges::Ranges;
 use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_NONE};
@@ -38,14 +38,21 @@ impl Table {
 
     #[inline(always)]
     fn add<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config) {
+        if sweep.columns.is_empty() {
+            return;
+        }
         let rows = sweep.rows();
         self.beams
             .begin(sweep, Some(sweep.columns.len()), &config.mount);
         let order = self.beams.order;
-        for position in (STRIP..order.end()).step_by(STRIP) {
+        for position in (0..order.end()).step_by(STRIP) {
             self.beams.look_up(simd, sweep, position);
-            self.ranges.fill(simd, sweep, config, order, position);
-            self.ranges.advance(rows);
+            self.ranges
+                .fill(simd, sweep, config, order, position + AHEAD);
+            // The first strip only leads in.
+            if position == 0 {
+                continue;
+            }
             let columns: [Option<usize>; STRIP] = std::array::from_fn(|ahead| {
                 let is_there = position + ahead < order.end();
                 order.column(position + ahead).filter(|_| is_there)

@@ -56,7 +56,7 @@ pub enum DetectError {
         banks: Banks,
     },
     /// Blank factory bytes, and too few packets to measure their period.
-    #[error("{packets} packets and blank factory bytes do not tell the sensor")]
+    #[error("the factory bytes are blank, and {packets} packets are too few to detect the model")]
     TooFewPackets {
         /// Packets that there were.
         packets: usize,

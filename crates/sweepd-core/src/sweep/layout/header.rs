@@ -147,7 +147,8 @@ impl Header {
     }
 }
 
-fn text(padded: &[u8; 64]) -> &str {
+/// A zero padded text; empty if it is none, or not one to be shown.
+pub(in crate::sweep) fn text(padded: &[u8; 64]) -> &str {
     let end = padded
         .iter()
         .position(|&byte| byte == 0)
@@ -161,7 +162,8 @@ fn text(padded: &[u8; 64]) -> &str {
     }
 }
 
-fn padded(text: &str) -> [u8; 64] {
+/// A text, cut to 64 bytes.
+pub(in crate::sweep) fn padded(text: &str) -> [u8; 64] {
     let mut padded = [0; 64];
     let len = text.floor_char_boundary(padded.len());
     padded[..len].copy_from_slice(&text.as_bytes()[..len]);

@@ -3,6 +3,7 @@
 use super::{
     ALIGN, BeamRow, COLUMNS_CAPACITY, Column, Header, LAYOUT_VERSION, MAGIC, PARTS, Segment,
 };
+use crate::sweep::objects::OBJECTS_VERSION;
 
 /// Capacities of a sweep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,29 +67,38 @@ impl Shape {
     }
 }
 
-/// Why bytes are not a sweep.
+/// Why bytes are not a sweep, or not a message of objects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LayoutError {
     /// Too short, or not aligned to 8 bytes.
-    #[error("{bytes} bytes cannot hold a sweep, or are not aligned to 8 bytes")]
+    #[error("{bytes} bytes cannot hold all parts, or are not aligned to 8 bytes")]
     Bytes {
         /// Bytes that there are.
         bytes: usize,
     },
     /// Other first bytes.
-    #[error("no sweep of sweepd: it does not begin with its mark")]
+    #[error("not data of sweepd: the magic bytes at its beginning are missing")]
     Foreign,
     /// Another version.
     #[error(
         "a sweep of layout version {found}, and this program reads version {LAYOUT_VERSION}; build it with the version of \
-         sweepd that made the sweep, or take one that this program was built with"
+         sweepd that made the sweep, or use a sweep of the version that it was built with"
     )]
     Version {
         /// Version that the header names.
         found: u32,
     },
+    /// Another version of objects.
+    #[error(
+        "objects of version {found}, and this program reads version {OBJECTS_VERSION}; build it with the version of sweepd that \
+         runs on this host"
+    )]
+    ObjectsVersion {
+        /// Version that the header names.
+        found: u32,
+    },
     /// Fewer bytes than the header says.
-    #[error("torn: {promised} bytes are named and {bytes} are there")]
+    #[error("torn: it should have {promised} bytes, and has {bytes}")]
     Torn {
         /// Bytes that are named.
         promised: u64,

@@ -1,0 +1,40 @@
+//! Says "stop" while the box of an object reaches into a box ahead of the robot, and how old its
+//! newest return is:
+//!
+//!     cargo run --release -p sweepd-client --example stop -- roof
+
+use std::time::{Duration, SystemTime};
+
+use sweepd_client::client::Client;
+use sweepd_core::sweep::objects::flags;
+
+/// The box in the frame of the robot, least and greatest x, y and z, metres; an object with more
+/// points than this counts.
+const STOP_M: [[f64; 3]; 2] = [[-1.0, 0.5, 0.1], [1.0, 5.0, 2.0]];
+const POINTS: u32 = 20;
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let name = std::env::args().nth(1).ok_or("which sensor?")?;
+    let mut objects = Client::new(&name)?.objects()?;
+    loop {
+        let Some(message) = objects.next(Duration::from_secs(1))? else {
+            println!("stop: nothing is heard of {name}");
+            continue;
+        };
+        let view = message.view()?;
+        if view.header.flags & flags::NO_HEIGHT != 0 {
+            println!("stop: the height of {name} is not known yet");
+        }
+        let mount = view.header.mount();
+        // Parts too: a wide object is told in parts first.
+        for object in view.objects.iter().filter(|it| it.segment.points > POINTS) {
+            let [least_m, most_m] = mount.bounds(object.segment.min_m, object.segment.max_m);
+            if (0..3).all(|at| least_m[at] < STOP_M[1][at] && most_m[at] > STOP_M[0][at]) {
+                let now_ns = SystemTime::UNIX_EPOCH.elapsed()?.as_nanos() as i64;
+                let age_ns = now_ns - (view.header.time_ns + i64::from(object.last_ns));
+                let (age_ms, nearest_m) = (age_ns as f64 * 1e-6, object.segment.nearest_m);
+                println!("stop: an object at {nearest_m:.2} m, seen {age_ms:.1} ms ago");
+            }
+        }
+    }
+}

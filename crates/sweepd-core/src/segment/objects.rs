@@ -1,0 +1,692 @@
+//! Objects while the head turns: a component that no later strip can join is told (handed out) at
+//! once, with the entry that it will have in the segments table.
+//!
+//! ```text
+//! follow   after each strip: which components go on, which have ended, which are told
+//! end      when the table is complete: tells the other segments, and the label of each object
+//! ```
+//!
+//! A component has **ended** when its last column lies so far back that no window of a later strip
+//! reaches it. It is told when it is also certain which small components become part of it: those
+//! near it have ended too, and so has every component that they may join instead. A component with
+//! a pixel in the first columns that are processed of a turn is told with the sweep; `seam` tells
+//! the objects around the cut earlier.
+
+use std::cmp::Reverse;
+
+use fearless_simd::Simd;
+use zerocopy::FromZeros;
+
+use super::components::{Components, Near, Sum};
+use super::order::{BEFORE, MOST_COLUMNS, Order, STRIP};
+use super::runs::Runs;
+use crate::sweep::image::pixel_azimuth_rad;
+use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_NONE, flags};
+use crate::sweep::objects::{Object, why};
+use crate::sweep::{Header, Segment, SweepRef};
+
+/// What is wider is told in parts, by default: 60 degrees, radians.
+pub const MAX_WIDTH_RAD: f32 = std::f32::consts::FRAC_PI_3;
+
+/// Where objects around a cut are told, position by position: those with a pixel behind it, and one
+/// before `until`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Cut {
+    pub at: usize,
+    pub until: usize,
+}
+
+/// Stands for no component.
+const NONE: u32 = u32::MAX;
+
+/// What is told of one sweep after another.
+#[derive(Clone, Debug)]
+pub struct Objects {
+    /// What is wider is told in parts, radians.
+    max_width_rad: f32,
+    /// Whether these are the objects around a cut.
+    cut: Option<Cut>,
+    /// Position behind the last strip that was followed.
+    followed: usize,
+    /// The sweep, by its number, and whether strips of it are still followed.
+    sequence: Option<u64>,
+    is_followed: bool,
+    /// Columns before the image's first, when it was begun.
+    margin: u32,
+    told: Vec<Object>,
+    /// How many of them were handed out.
+    handed: usize,
+    /// Of a complete sweep, the label of each told object.
+    labels: Option<Vec<u32>>,
+    open: Vec<Open>,
+    /// Index in `open` of the component of each root.
+    slots: Vec<u32>,
+    /// Pairs of an unsettled small component and one that is near it.
+    notes: Vec<Near>,
+    /// Notes of the components that were taken, and how often these were thinned before.
+    taken: (usize, u32),
+    gifts: Vec<Gift>,
+}
+
+/// A component that may still be told.
+#[derive(Clone, Copy, Debug)]
+struct Open {
+    root: u32,
+    whole: Extent,
+    /// What was not told in parts.
+    part: Extent,
+    sum: Sum,
+    /// Whether a part was told.
+    is_parted: bool,
+    has_ended: bool,
+    /// Whether it has been told, or became part of another, or never will be.
+    is_settled: bool,
+    /// Of a small one: the nearest that is not small.
+    nearest: Nearest,
+    /// Whether it has not ended, or not all that it may become part of, or that may become part of
+    /// it.
+    waits: bool,
+}
+
+/// What is nearest to a small component: of two as near, that with the lower first pixel.
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
+struct Nearest {
+    /// Distance, squared.
+    apart2: f32,
+    first: u32,
+    root: u32,
+}
+
+impl Nearest {
+    const NONE: Self = Self {
+        apart2: f32::INFINITY,
+        first: NONE,
+        root: NONE,
+    };
+}
+
+/// A small component that became part of another one.
+#[derive(Clone, Copy, Debug)]
+struct Gift {
+    small: u32,
+    large: u32,
+    whole: Extent,
+}
+
+/// Where something lies, position by position.
+#[derive(Clone, Copy, Debug)]
+struct Extent {
+    first: usize,
+    last: usize,
+    first_shot: Shot,
+    last_shot: Shot,
+    /// Its first pixel behind the cut, if there is one.
+    first_behind: u32,
+}
+
+/// A pixel's shot: the position of its firing, its time in the firing, its row. Shots are ordered
+/// by time; of two at the same time, the one with the lower row number comes first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Shot {
+    firing: usize,
+    offset_ns: u32,
+    row: usize,
+}
+
+impl Shot {
+    /// Highest for the last shot: of two at the same time, that with the lower row number, too.
+    fn as_last(self) -> (usize, u32, Reverse<usize>) {
+        (self.firing, self.offset_ns, Reverse(self.row))
+    }
+}
+
+impl Extent {
+    const NONE: Self = Self {
+        first: usize::MAX,
+        last: 0,
+        first_shot: Shot {
+            firing: usize::MAX,
+            offset_ns: u32::MAX,
+            row: usize::MAX,
+        },
+        last_shot: Shot {
+            firing: 0,
+            offset_ns: 0,
+            row: usize::MAX,
+        },
+        first_behind: u32::MAX,
+    };
+
+    fn add(&mut self, other: &Self) {
+        self.first = self.first.min(other.first);
+        self.last = self.last.max(other.last);
+        self.first_behind = self.first_behind.min(other.first_behind);
+        self.first_shot = self.first_shot.min(other.first_shot);
+        if other.last_shot.as_last() > self.last_shot.as_last() {
+            self.last_shot = other.last_shot;
+        }
+    }
+
+    fn columns(&self) -> usize {
+        (self.last + 1).saturating_sub(self.first)
+    }
+}
+
+impl Objects {
+    /// Tells what is wider than this in parts, radians.
+    pub fn new(max_width_rad: f32) -> Self {
+        Self {
+            max_width_rad,
+            cut: None,
+            followed: 0,
+            sequence: None,
+            is_followed: false,
+            margin: 0,
+            told: Vec::new(),
+            handed: 0,
+            labels: None,
+            open: Vec::new(),
+            slots: Vec::new(),
+            notes: Vec::new(),
+            taken: (0, 0),
+            gifts: Vec::new(),
+        }
+    }
+
+    /// Wider objects are told in parts, radians.
+    pub(super) fn max_width_rad(&self) -> f32 {
+        self.max_width_rad
+    }
+
+    /// Tells what lies around a cut.
+    pub(super) fn around(cut: Cut, max_width_rad: f32) -> Self {
+        Self {
+            cut: Some(cut),
+            ..Self::new(max_width_rad)
+        }
+    }
+
+    /// The reason to tell an object of this extent, or `None` if it is not told here; `usual` where
+    /// there is no cut.
+    fn reason(&self, extent: &Extent, usual: u32) -> Option<u32> {
+        match self.cut {
+            None => Some(usual),
+            Some(cut) if extent.last < cut.at || extent.first >= cut.until => None,
+            Some(_) => Some(why::SEAM),
+        }
+    }
+
+    /// Whether all that lies around the cut was followed to its end.
+    pub(super) fn is_past_cut(&self) -> bool {
+        let until = self.cut.map_or(0, |cut| cut.until);
+        let mut open = self.open.iter();
+        self.followed >= until && open.all(|open| open.whole.first >= until)
+    }
+
+    /// Begins to follow the strips of a sweep. A second call for the same sweep means that it has
+    /// changed: objects told before stay, the others are told when it is complete.
+    pub(super) fn begin(&mut self, header: &Header, is_early: bool) {
+        let sequence = header.sequence;
+        let is_again = self.sequence == Some(sequence) && self.labels.is_none();
+        if !is_again {
+            self.told.clear();
+            self.handed = 0;
+            self.margin = header.margin_columns;
+        }
+        self.labels = None;
+        self.sequence = Some(sequence);
+        self.is_followed = is_early && !is_again;
+        self.open.clear();
+        self.slots.clear();
+        self.notes.clear();
+        self.taken = (0, 0);
+        self.gifts.clear();
+    }
+
+    /// The objects told since the last call, and the ordinal of the first of them; when the sweep
+    /// is complete also the label of each of its objects, 0 where a late packet has changed the
+    /// object, so that the table has no such segment.
+    pub fn take(&mut self) -> (usize, &[Object], Option<&[u32]>) {
+        let from = std::mem::replace(&mut self.handed, self.told.len());
+        (from, &self.told[from..], self.labels.as_deref())
+    }
+
+    /// Takes the strip at a position, the columns of it that count, and what its runs measure.
+    #[inline(always)]
+    pub(super) fn follow<S: Simd>(
+        &mut self,
+        simd: S,
+        strip: Strip<'_>,
+        components: &mut Components,
+        thresholds: [u32; 2],
+    ) {
+        if !self.is_followed {
+            return;
+        }
+        let [small_points, min_points] = thresholds;
+        self.slots.resize(components.pieces(), NONE);
+        self.unite(simd, components);
+        self.add_runs(simd, &strip, components);
+        let Strip {
+            sweep,
+            order,
+            position,
+            pitch_rad,
+            ..
+        } = strip;
+        // No window of a later strip reaches further back.
+        let reached = position + STRIP - MOST_COLUMNS;
+        self.followed = position + STRIP;
+        let most_columns = (self.max_width_rad / pitch_rad.max(1e-6)) as usize;
+        for index in 0..self.open.len() {
+            let open = &mut self.open[index];
+            let is_behind = open.whole.last < reached;
+            let is_at_seam = open.whole.first < STRIP + BEFORE;
+            open.has_ended = is_behind && !is_at_seam;
+            let is_wide = open.part.columns() > most_columns || open.is_parted && is_behind;
+            if is_wide && open.sum.points >= min_points.max(1) {
+                open.is_parted = true;
+                let Open { part, sum, .. } = *open;
+                (open.part, open.sum) = (Extent::NONE, Sum::NONE);
+                if let Some(reason) = self.reason(&part, why::WIDE) {
+                    self.push(object(&sum, &part, reason, order, sweep));
+                }
+            }
+        }
+        self.settle(components, small_points);
+        for index in 0..self.open.len() {
+            let open = self.open[index];
+            let is_small = components.points(open.root) < small_points;
+            let is_known = if is_small {
+                open.is_settled && open.nearest.root == NONE
+            } else {
+                open.has_ended && !open.waits
+            };
+            if !is_known {
+                continue;
+            }
+            self.open[index].is_settled = true;
+            let (sum, whole) = self.with_gifts(simd, &open, components);
+            // The first and last column of a wide object are certain only at the end of the turn:
+            // the whole is told with the sweep.
+            if !open.is_parted
+                && sum.points >= min_points.max(1)
+                && let Some(reason) = self.reason(&whole, why::COMPLETE)
+            {
+                self.push(object(&sum, &whole, reason, order, sweep));
+            }
+        }
+        self.forget_settled();
+    }
+
+    /// Tells an object.
+    pub(super) fn push(&mut self, mut object: Object) {
+        object.ordinal = self.told.len() as u32;
+        self.told.push(object);
+    }
+
+    /// Learns which components are one by now.
+    #[inline(always)]
+    fn unite<S: Simd>(&mut self, simd: S, components: &mut Components) {
+        for index in 0..self.open.len() {
+            let Open {
+                root: before,
+                whole,
+                part,
+                sum,
+                is_parted,
+                ..
+            } = self.open[index];
+            let root = components.root(before);
+            if root == before {
+                continue;
+            }
+            self.slots[before as usize] = NONE;
+            let slot = self.slots[root as usize];
+            if slot == NONE {
+                self.slots[root as usize] = index as u32;
+                self.open[index].root = root;
+                continue;
+            }
+            let into = &mut self.open[slot as usize];
+            into.whole.add(&whole);
+            into.part.add(&part);
+            into.sum.add(simd, &sum);
+            into.is_parted |= is_parted;
+            self.open[index].root = NONE;
+        }
+        self.forget_settled();
+    }
+
+    /// Adds the runs of a strip to their components.
+    #[inline(always)]
+    fn add_runs<S: Simd>(&mut self, simd: S, strip: &Strip<'_>, components: &mut Components) {
+        let runs = &strip.runs.all[strip.runs.from..];
+        for (run, sum) in runs.iter().zip(&strip.runs.sums) {
+            let columns = run.columns() & strip.counted;
+            if columns == 0 {
+                continue;
+            }
+            let row = usize::from(run.row);
+            let beam = &strip.sweep.beams[row];
+            let first = strip.position + columns.trailing_zeros() as usize;
+            let last = strip.position + STRIP - 1 - columns.leading_zeros() as usize;
+            let shot = |position: usize| Shot {
+                firing: position.saturating_add_signed(beam.shift as isize),
+                offset_ns: beam.time_offset_ns,
+                row,
+            };
+            let mut extent = Extent {
+                first,
+                last,
+                first_shot: shot(first),
+                last_shot: shot(last),
+                first_behind: u32::MAX,
+            };
+            if let Some(cut) = self.cut
+                && last >= cut.at
+                && let Some(column) = strip.order.column(first.max(cut.at))
+            {
+                extent.first_behind = (column * strip.sweep.rows() + row) as u32;
+            }
+            let root = components.root(run.piece);
+            if self.slots[root as usize] == NONE {
+                self.slots[root as usize] = self.open.len() as u32;
+                self.open.push(Open {
+                    root,
+                    whole: Extent::NONE,
+                    part: Extent::NONE,
+                    sum: Sum::NONE,
+                    is_parted: false,
+                    has_ended: false,
+                    is_settled: false,
+                    nearest: Nearest::NONE,
+                    waits: false,
+                });
+            }
+            let open = &mut self.open[self.slots[root as usize] as usize];
+            open.whole.add(&extent);
+            open.part.add(&extent);
+            open.sum.add(simd, sum);
+        }
+    }
+
+    /// Finds which small components have ended and become part of which others, and which others
+    /// wait for small ones.
+    fn settle(&mut self, components: &mut Components, small_points: u32) {
+        for open in &mut self.open {
+            open.nearest = Nearest::NONE;
+            open.waits = !open.has_ended;
+        }
+        self.take_notes(components, small_points);
+        self.find_nearest(components, small_points);
+        self.wait_for_nearer(components, small_points);
+        self.settle_small(components, small_points);
+        self.wait_for_small(components, small_points);
+    }
+
+    /// Takes the notes that are new, and drops those of components that are not small any more.
+    fn take_notes(&mut self, components: &mut Components, small_points: u32) {
+        let (nears, thinned) = components.nears();
+        if self.taken.1 != thinned {
+            self.taken = (0, thinned);
+        }
+        self.notes.extend_from_slice(&nears[self.taken.0..]);
+        self.taken.0 = nears.len();
+        let slots = &self.slots;
+        self.notes.retain_mut(|note| {
+            note.small = components.root(note.small);
+            note.large = components.root(note.large);
+            slots[note.small as usize] != NONE && components.points(note.small) < small_points
+        });
+    }
+
+    fn find_nearest(&mut self, components: &Components, small_points: u32) {
+        for note in &self.notes {
+            if components.points(note.large) < small_points {
+                continue;
+            }
+            let nearest = &mut self.open[self.slots[note.small as usize] as usize].nearest;
+            let found = Nearest {
+                apart2: note.apart2,
+                first: components.sum(note.large).first,
+                root: note.large,
+            };
+            if found < *nearest {
+                *nearest = found;
+            }
+        }
+    }
+
+    /// Has small ones wait while what is nearest to them may change.
+    fn wait_for_nearer(&mut self, components: &Components, small_points: u32) {
+        for note in &self.notes {
+            let slot = self.slots[note.small as usize] as usize;
+            let nearest = self.open[slot].nearest;
+            let has_ended = self.has_ended(note.large);
+            let may_grow = !has_ended && components.points(note.large) < small_points;
+            // Of two as near, that with the lower first pixel: it is known when both have ended.
+            let is_tied = note.apart2 == nearest.apart2
+                && note.large != nearest.root
+                && !(has_ended && self.has_ended(nearest.root));
+            self.open[slot].waits |= (may_grow && note.apart2 <= nearest.apart2) || is_tied;
+        }
+    }
+
+    /// Whether the component of a root has ended.
+    fn has_ended(&self, root: u32) -> bool {
+        let slot = self.slots[root as usize];
+        slot == NONE || self.open[slot as usize].has_ended
+    }
+
+    /// Gives the small ones that wait for nothing to what is nearest to them.
+    fn settle_small(&mut self, components: &Components, small_points: u32) {
+        for open in &mut self.open {
+            if open.waits || components.points(open.root) >= small_points {
+                continue;
+            }
+            open.is_settled = true;
+            if open.nearest.root != NONE {
+                self.gifts.push(Gift {
+                    small: open.root,
+                    large: open.nearest.root,
+                    whole: open.whole,
+                });
+            }
+        }
+    }
+
+    /// Has the others wait for small ones near them.
+    fn wait_for_small(&mut self, components: &Components, small_points: u32) {
+        for note in &self.notes {
+            let small = self.slots[note.small as usize] as usize;
+            let large = self.slots[note.large as usize];
+            if large != NONE
+                && !self.open[small].is_settled
+                && components.points(note.large) >= small_points
+            {
+                self.open[large as usize].waits = true;
+            }
+        }
+    }
+
+    /// What a component measures with the small ones that became part of it, added in the order of
+    /// the table.
+    #[inline(always)]
+    fn with_gifts<S: Simd>(
+        &mut self,
+        simd: S,
+        open: &Open,
+        components: &mut Components,
+    ) -> (Sum, Extent) {
+        let (mut sum, mut whole) = (components.sum(open.root), open.whole);
+        self.gifts.sort_unstable_by_key(|gift| gift.small);
+        self.gifts.retain(|gift| {
+            let is_here = components.root(gift.large) == open.root;
+            if is_here {
+                sum.add(simd, &components.sum(gift.small));
+                whole.add(&gift.whole);
+            }
+            !is_here
+        });
+        (sum, whole)
+    }
+
+    /// Drops what is settled, and what is part of another.
+    fn forget_settled(&mut self) {
+        let slots = &mut self.slots;
+        let mut kept = 0;
+        for index in 0..self.open.len() {
+            let open = self.open[index];
+            if open.root == NONE {
+                continue;
+            }
+            if open.is_settled {
+                slots[open.root as usize] = NONE;
+                continue;
+            }
+            slots[open.root as usize] = kept as u32;
+            self.open[kept] = open;
+            kept += 1;
+        }
+        self.open.truncate(kept);
+    }
+
+    /// Tells the segments of a complete sweep that were not told, and which label each object has.
+    pub(super) fn end(&mut self, sweep: &SweepRef<'_>, has_height: bool) {
+        if self.sequence != Some(sweep.header.sequence) || self.labels.is_some() {
+            self.begin(sweep.header, false);
+        }
+        self.is_followed = false;
+        let mut labels = self.labels.take().unwrap_or_default();
+        labels.clear();
+        let mut is_told = vec![!has_height; sweep.segments.len()];
+        let moved = i64::from(self.margin) - i64::from(sweep.header.margin_columns);
+        for object in &self.told {
+            let pixel = i64::from(object.first_pixel) + moved * sweep.rows() as i64;
+            let label = usize::try_from(pixel)
+                .ok()
+                .and_then(|pixel| sweep.label.get(pixel))
+                .copied()
+                .unwrap_or(LABEL_NONE);
+            let index = label.wrapping_sub(LABEL_FIRST_SEGMENT) as usize;
+            let is_it = sweep.segments.get(index).is_some_and(|segment| {
+                !object.is_segment() || is_same(&object.segment, segment, sweep, moved)
+            });
+            labels.push(if is_it { label } else { LABEL_NONE });
+            if is_it && object.is_segment() {
+                is_told[index] = true;
+            }
+        }
+        self.tell_rest(sweep, &is_told, &mut labels);
+        self.labels = Some(labels);
+    }
+
+    /// Tells what was not told, by the pixels of the label image.
+    fn tell_rest(&mut self, sweep: &SweepRef<'_>, is_told: &[bool], labels: &mut Vec<u32>) {
+        // Of each segment its place among these, and the times of its first and last shot, with
+        // the pixels.
+        let mut rest = vec![None; is_told.len()];
+        for (pixel, &label) in sweep.label.iter().enumerate() {
+            let index = label.wrapping_sub(LABEL_FIRST_SEGMENT) as usize;
+            if is_told.get(index) != Some(&false) {
+                continue;
+            }
+            let row = pixel % sweep.rows();
+            let firing = sweep.fired_in(row, pixel / sweep.rows());
+            let after_ns = sweep.beams[row].time_offset_ns;
+            let time_ns = sweep.columns[firing].time_ns.saturating_add(after_ns);
+            let shot = (time_ns, row, firing);
+            let (_, first, last) = rest[index].get_or_insert((pixel, shot, shot));
+            *first = shot.min(*first);
+            if (time_ns, Reverse(row)) > (last.0, Reverse(last.1)) {
+                *last = shot;
+            }
+        }
+        for (segment, found) in sweep.segments.iter().zip(rest) {
+            let Some((pixel, first, last)) = found else {
+                continue;
+            };
+            labels.push(segment.label);
+            let azimuth_rad = |(_, row, firing): (u32, usize, usize)| {
+                pixel_azimuth_rad(&sweep.columns[firing], &sweep.beams[row]) as f32
+            };
+            self.push(Object {
+                segment: *segment,
+                first_pixel: pixel as u32,
+                why: why::SWEEP,
+                azimuth_first_rad: azimuth_rad(first),
+                azimuth_last_rad: azimuth_rad(last),
+                first_ns: nanoseconds(first.0),
+                last_ns: nanoseconds(last.0),
+                ..Object::new_zeroed()
+            });
+        }
+    }
+}
+
+/// A strip that was joined.
+#[derive(Clone, Copy)]
+pub(super) struct Strip<'a> {
+    pub sweep: &'a SweepRef<'a>,
+    pub runs: &'a Runs,
+    pub order: Order,
+    pub position: usize,
+    /// Its columns that count.
+    pub counted: u64,
+    /// Angle between columns, radians.
+    pub pitch_rad: f32,
+}
+
+/// An object of the open sweep.
+fn object(sum: &Sum, extent: &Extent, reason: u32, order: Order, sweep: &SweepRef<'_>) -> Object {
+    let mut segment = sum.segment(LABEL_NONE);
+    let column = |position: usize| order.column(position).unwrap_or(0);
+    segment.column_first = column(extent.first) as u32;
+    segment.column_last = column(extent.last) as u32;
+    let shot = |shot: Shot| {
+        let beam = &sweep.beams[shot.row];
+        // All that has been taken was fired, as far as rows are shifted as in the turn before.
+        let firing = sweep.columns.get(column(shot.firing));
+        firing.or(sweep.columns.last()).map_or((0.0, 0), |firing| {
+            let time_ns = firing.time_ns.saturating_add(beam.time_offset_ns);
+            (pixel_azimuth_rad(firing, beam) as f32, nanoseconds(time_ns))
+        })
+    };
+    let (azimuth_first_rad, first_ns) = shot(extent.first_shot);
+    let (azimuth_last_rad, last_ns) = shot(extent.last_shot);
+    let first_pixel = match reason {
+        why::SEAM => extent.first_behind,
+        _ => sum.first,
+    };
+    Object {
+        segment,
+        first_pixel,
+        why: reason,
+        azimuth_first_rad,
+        azimuth_last_rad,
+        first_ns,
+        last_ns,
+        ..Object::new_zeroed()
+    }
+}
+
+/// Nanoseconds after the first shot, as objects have them.
+fn nanoseconds(after: u32) -> i32 {
+    i32::try_from(after).unwrap_or(i32::MAX)
+}
+
+/// Whether a segment that was told is the one in the table. A sweep that did not become a whole
+/// turn is segmented again from its first column on: there the same points may be added in another
+/// order.
+fn is_same(told: &Segment, found: &Segment, sweep: &SweepRef<'_>, moved: i64) -> bool {
+    let mut told = *told;
+    told.label = found.label;
+    if sweep.header.has(flags::CIRCULAR) {
+        return told == *found;
+    }
+    let rows = [told.row_first, told.row_last] == [found.row_first, found.row_last];
+    let columns = [told.column_first, told.column_last].map(|column| i64::from(column) + moved);
+    let expected = [found.column_first, found.column_last].map(i64::from);
+    told.points == found.points && rows && columns == expected
+}

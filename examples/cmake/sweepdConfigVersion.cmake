@@ -1,0 +1,9 @@
+set(PACKAGE_VERSION "0.2.0")
+# Before 1.0, a minor version may change the layout.
+if(PACKAGE_FIND_VERSION VERSION_EQUAL PACKAGE_VERSION)
+    set(PACKAGE_VERSION_EXACT TRUE)
+endif()
+string(REGEX MATCH "^[0-9]+\\.[0-9]+" _sweepd_minor "${PACKAGE_VERSION}")
+if("${PACKAGE_FIND_VERSION}." MATCHES "^${_sweepd_minor}\\." AND NOT PACKAGE_FIND_VERSION VERSION_GREATER PACKAGE_VERSION)
+    set(PACKAGE_VERSION_COMPATIBLE TRUE)
+endif()

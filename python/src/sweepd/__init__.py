@@ -1,0 +1,25 @@
+"""The sweeps of a Velodyne that sweepd shares on this host, or makes of a capture, as NumPy arrays.
+
+    for sweep in sweepd.Client("roof"):                      # a running daemon
+        obstacles = sweep.points("robot")[sweep.label >= 2]  # metres
+
+    for sweep in sweepd.replay("capture.pcap"):              # a capture; needs the program `sweepd`
+        nearest_m = sweep.segments["nearest_m"].min(initial=float("inf"))
+
+    for message in sweepd.Client("roof").objects():          # objects while the head turns
+        boxes = message.boxes("robot")                       # least and greatest x, y, z
+
+`Sweep` says what there is of a sweep. Lengths are metres, angles radians, times nanoseconds since 1970; images are
+arrays of (columns, rows), the highest beam first. `sweepd.layout` has the numbers of docs/layout.md.
+"""
+
+from . import layout
+from ._client import Client
+from ._header import ROS
+from ._objects import Objects, ObjectsMessage
+from ._replay import replay
+from ._sweep import Sweep
+from .layout import LayoutError, SweepdError
+
+__version__ = "0.2.0"
+__all__ = ["ROS", "Client", "LayoutError", "Objects", "ObjectsMessage", "Sweep", "SweepdError", "layout", "replay"]

@@ -1,0 +1,91 @@
+"""Objects while the head turns: messages, and how they come."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from . import layout
+from ._header import Floats, Frame, Headed
+from ._service import Followed
+from .layout import LABEL, OBJECT, OBJECTS_HEADER
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+class ObjectsMessage(Headed):
+    """Objects of one sweep that became known together. Its memory is this program's own: it may be kept."""
+
+    header: Any
+    """A copy of the header: a record of `layout.OBJECTS_HEADER`, as in `message.header["sent_ns"]`."""
+    objects: NDArray[np.void]
+    """(objects,) records of `layout.OBJECT`; `objects["segment"]` are as in the table of segments, metres in the axes of
+    the sensor."""
+    labels: NDArray[np.uint32]
+    """Labels of objects of the sweep, from that with the ordinal `header["first_label"]` on: in the last messages of a
+    sweep. 0 where a late packet has changed the object."""
+
+    def __init__(self, data: Any) -> None:
+        """Check and copy `data`, the bytes of a message: an array of u8, or what NumPy takes for one.
+
+        Raises `LayoutError` for what is none.
+        """
+        if not isinstance(data, np.ndarray):
+            data = np.frombuffer(data, np.uint8)
+        self.header = layout.checked_objects_header(data)
+        of_objects = int(self.header["objects"]) * OBJECT.itemsize
+        of_labels = int(self.header["labels"]) * LABEL.itemsize
+        told = data[OBJECTS_HEADER.itemsize :][: of_objects + of_labels].copy()
+        told.flags.writeable = False
+        self.objects = told[:of_objects].view(OBJECT)
+        self.labels = told[of_objects:].view(LABEL)
+
+    @property
+    def is_last(self) -> bool:
+        """Whether this is the last message of the sweep: all its objects and labels have been sent."""
+        return self.has(layout.OBJECTS_LAST)
+
+    @property
+    def is_segment(self) -> NDArray[np.bool_]:
+        """Which objects are segments of the sweep's table: (objects,).
+
+        The others are parts of wide objects, and what lies across the cut of two turns.
+        """
+        segments: NDArray[np.bool_] = np.isin(self.objects["why"], (layout.WHY_COMPLETE, layout.WHY_SWEEP))
+        return segments
+
+    def when(self) -> NDArray[np.int64]:
+        """Give the time of each object's newest shot: (objects,), nanoseconds since 1970 in the clock of the header."""
+        times: NDArray[np.int64] = self.objects["last_ns"].astype(np.int64) + self.header["time_ns"]
+        return times
+
+    def boxes(self, frame: Frame = "sensor") -> Floats:
+        """Give the box of each object: (objects, 2, 3), metres: least x, y, z and greatest.
+
+        `frame` as in `Sweep.points`. In another frame than the sensor's it is the box around the box.
+        """
+        segments = self.objects["segment"]
+        ends = np.stack([segments["min_m"], segments["max_m"]], axis=1).astype(float)
+        pose = self._pose_of(frame)
+        if pose is None:
+            return ends
+        shares = pose[:3, :3] * ends[:, :, np.newaxis]
+        turned = [shares.min(axis=1).sum(axis=-1), shares.max(axis=1).sum(axis=-1)]
+        boxes: Floats = np.stack(turned, axis=1) + pose[:3, 3]
+        return boxes
+
+
+class Objects(Followed[ObjectsMessage]):
+    """The objects of one sensor while its head turns, message after message; also an endless iterator over these.
+
+    The daemon publishes them while they have a consumer, which it notices within about a second. A consumer that is
+    slow by more than the 64 messages of its queue, a turn and more, misses some: then `header["first_ordinal"]` is greater
+    than the number of objects that came before. All else is as in `Client`, but that any number of messages may be held.
+    """
+
+    _topic = "objects"
+
+    def _received(self, data: NDArray[np.uint8]) -> ObjectsMessage:
+        return ObjectsMessage(data)

@@ -1,0 +1,89 @@
+"""Sweeps of a capture, by the program `sweepd`."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import subprocess
+import tempfile
+from typing import TYPE_CHECKING, Any, Union
+
+import numpy as np
+
+from ._sweep import Sweep
+from .layout import HEADER, LayoutError, SweepdError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+Option = Union[str, float, bool, "os.PathLike[str]", "list[str]"]
+LOG = logging.getLogger("sweepd")
+
+
+def replay(
+    capture: str | os.PathLike[str], *, binary: str | os.PathLike[str] | None = None, **options: Option
+) -> Iterator[Sweep]:
+    """Give the sweeps of a capture, one after the other, none left out; their memory is this program's own.
+
+    Runs `sweepd replay`, found as `binary`, else as the variable SWEEPD, else in PATH; it ends with the iterator. Each
+    of `options` is an option of that command: `replay("x.pcap", start=10, return_="last", partial=True,
+    sensor=["192.168.1.201"])`. What it notes goes to the log `sweepd`. Raises `SweepdError` with what it says when it
+    fails, after the sweeps that came before.
+    """
+    command = [_program(binary), "replay", "--raw=-", *_arguments(options), "--", os.fspath(capture)]
+    with tempfile.TemporaryFile() as said:
+        try:
+            child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said)
+        except OSError as error:
+            raise SweepdError(f"cannot run {command[0]}: {error.strerror}") from error
+        with child:
+            try:
+                while (sweep := _next(child.stdout)) is not None:
+                    yield sweep
+            except BaseException:
+                # The caller has enough, or these are no sweeps.
+                child.kill()
+                raise
+        said.seek(0)
+        text = said.read().decode(errors="replace").strip()
+        if child.returncode != 0:
+            raise SweepdError(text or f"{command[0]} ended with code {child.returncode}")
+        for line in text.splitlines():
+            LOG.log(logging.WARNING if line.startswith("warning") else logging.INFO, "%s", line)
+
+
+def _program(binary: str | os.PathLike[str] | None) -> str:
+    program = binary or os.environ.get("SWEEPD") or shutil.which("sweepd")
+    if program is None:
+        raise SweepdError("no program `sweepd` in PATH: install it, name it in the variable SWEEPD, or give `binary`")
+    return os.fspath(program)
+
+
+def _arguments(options: dict[str, Any]) -> list[str]:
+    """The options as arguments; `return_` is `--return`, a word of Python."""
+    arguments = []
+    for name, value in options.items():
+        option = "--" + name.rstrip("_").replace("_", "-")
+        values = value if isinstance(value, list) else [value]
+        for one in values:
+            if one is True:
+                arguments.append(option)
+            elif one is not False:
+                arguments.append(f"{option}={one}")
+    return arguments
+
+
+def _next(output: Any) -> Sweep | None:
+    """The next sweep of a stream; `None` at its end."""
+    start = output.read(HEADER.itemsize)
+    if not start:
+        return None
+    if len(start) < HEADER.itemsize:
+        raise LayoutError(f"a sweep is cut short after {len(start)} bytes")
+    # How many there are is checked with the rest.
+    total_bytes = int(np.frombuffer(start, HEADER)[0]["total_bytes"])
+    data = np.empty(max(HEADER.itemsize, min(total_bytes, 1 << 32)), np.uint8)
+    data[: HEADER.itemsize] = np.frombuffer(start, np.uint8)
+    read = output.readinto(data[HEADER.itemsize :])
+    return Sweep(data[: HEADER.itemsize + read])

@@ -1,0 +1,181 @@
+"""The layout of a sweep and of objects: fields, numbers and the check of a header, by the names of docs/layout.md."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+MAGIC = b"sweepd\r\n"
+LAYOUT_VERSION = 3
+ALIGN = 64
+# Of a message of objects.
+OBJECTS_MAGIC = b"objects\n"
+OBJECTS_VERSION = 1
+
+# Bits of header["flags"].
+PARTIAL = 1 << 0
+CIRCULAR = 1 << 1
+REVERSED = 1 << 2
+BLANKED = 1 << 3
+RATE_UNSTABLE = 1 << 4
+STOPPED = 1 << 5
+HEIGHT_ESTIMATED = 1 << 6
+LOSS_ESTIMATED = 1 << 7
+# Labels; segments count from the last one on.
+LABEL_NONE, LABEL_GROUND, LABEL_FIRST_SEGMENT = 0, 1, 2
+# header["time_source"]
+TIME_HOST, TIME_GPS = 0, 1
+# header["return_mode"]
+MODE_STRONGEST, MODE_LAST, MODE_DUAL = 0x37, 0x38, 0x39
+# header["return_choice"]
+CHOICE_NEAREST, CHOICE_STRONGEST, CHOICE_LAST = 0, 1, 2
+# columns["status"]
+COLUMN_MEASURED, COLUMN_MISSING, COLUMN_UNFIRED = 1, 2, 3
+# A byte of `kind`: one of the first two, and perhaps the bit.
+KIND_STRONGEST, KIND_LAST, KIND_SECOND_BLOCKS = 1, 2, 4
+
+# Bits of the flags of objects.
+OBJECTS_LAST = 1 << 0
+OBJECTS_NO_HEIGHT = 1 << 1
+OBJECTS_PARTIAL = 1 << 2
+# objects["why"]; the first two are segments of the table.
+WHY_COMPLETE, WHY_SWEEP, WHY_WIDE, WHY_SEAM = 1, 2, 3, 4
+
+(
+    PART_RANGE,
+    PART_REFLECTIVITY,
+    PART_LABEL,
+    PART_RANGE2,
+    PART_REFLECTIVITY2,
+    PART_LABEL2,
+    PART_KIND,
+    PART_COLUMNS,
+    PART_BEAMS,
+    PART_SEGMENTS,
+) = range(10)
+
+# The two-point correction of an HDL-64E ends at the first; its offsets for x and y were measured at the others, metres.
+FAR_M, NEAR_X_M, NEAR_Y_M = 25.04, 2.40, 1.93
+
+HEADER = np.dtype([
+    ("magic", "V8"), ("version", "<u4"), ("header_bytes", "<u4"), ("total_bytes", "<u8"), ("offsets", "<u8", (10,)),
+    ("rows", "<u4"), ("columns", "<u4"), ("columns_capacity", "<u4"), ("segments", "<u4"), ("segments_capacity", "<u4"),
+    ("model", "<u4"), ("return_mode", "<u4"), ("return_choice", "<u4"), ("flags", "<u4"), ("time_source", "<u4"),
+    ("sequence", "<u8"), ("time_ns", "<i8"), ("duration_ns", "<u8"), ("sensor_time_ns", "<i8"), ("arrival_ns", "<i8"),
+    ("rpm", "<f4"), ("cut_azimuth_rad", "<f4"), ("height_m", "<f4"), ("pitch_rad", "<f4"), ("roll_rad", "<f4"),
+    ("missing_columns", "<u4"), ("lost_packets", "<u4"), ("packets", "<u4"), ("returns", "<u4"), ("ground", "<u4"),
+    ("decode_ns", "<u4"), ("ground_ns", "<u4"), ("label_ns", "<u4"), ("margin_columns", "<u4"),
+    ("unfired_columns", "<u4"), ("dropped_datagrams", "<u4"), ("yaw_rad", "<f4"), ("reserved_252", "<u4"),
+    ("position_m", "<f4", (3,)), ("reserved_268", "<u4"), ("completed_ns", "<i8"), ("completed_monotonic_ns", "<i8"),
+    ("run_ns", "<i8"), ("sensor", "S64"), ("name", "S64"), ("reserved_424", "V24"),
+])  # fmt: skip
+COLUMN = np.dtype([
+    ("packet", "<u8"), ("azimuth_rad", "<f4"), ("azimuth_rate_rad_s", "<f4"), ("time_ns", "<u4"), ("block", "u1"),
+    ("status", "u1"), ("reserved_22", "V2"),
+])  # fmt: skip
+BEAM = np.dtype([
+    ("channel", "<u4"), ("elevation_rad", "<f4"), ("rotation_rad", "<f4"), ("time_offset_ns", "<u4"),
+    ("vertical_offset_m", "<f4"), ("horizontal_offset_m", "<f4"), ("shift", "<i4"), ("distance_offset_m", "<f4"),
+    ("distance_offset_x_m", "<f4"), ("distance_offset_y_m", "<f4"), ("reserved_40", "V8"),
+])  # fmt: skip
+SEGMENT = np.dtype([
+    ("label", "<u4"), ("points", "<u4"), ("min_m", "<f4", (3,)), ("max_m", "<f4", (3,)), ("centroid_m", "<f4", (3,)),
+    ("nearest_m", "<f4"), ("row_first", "<u2"), ("row_last", "<u2"), ("column_first", "<u4"), ("column_last", "<u4"),
+    ("reserved_60", "V4"),
+])  # fmt: skip
+OBJECTS_HEADER = np.dtype([
+    ("magic", "V8"), ("version", "<u4"), ("header_bytes", "<u4"), ("sequence", "<u8"), ("run_ns", "<i8"),
+    ("time_ns", "<i8"), ("sent_ns", "<i8"), ("sent_monotonic_ns", "<i8"), ("time_source", "<u4"), ("flags", "<u4"),
+    ("objects", "<u4"), ("first_ordinal", "<u4"), ("labels", "<u4"), ("first_label", "<u4"), ("position_m", "<f4", (3,)),
+    ("yaw_rad", "<f4"), ("pitch_rad", "<f4"), ("roll_rad", "<f4"), ("reserved_104", "V24"), ("name", "S64"),
+])  # fmt: skip
+OBJECT = np.dtype([
+    ("segment", SEGMENT), ("first_pixel", "<u4"), ("ordinal", "<u4"), ("why", "<u4"), ("azimuth_first_rad", "<f4"),
+    ("azimuth_last_rad", "<f4"), ("first_ns", "<i4"), ("last_ns", "<i4"), ("reserved_92", "V4"),
+])  # fmt: skip
+LABEL = np.dtype("<u4")
+
+
+class SweepdError(Exception):
+    """No sweeps can be had, and waiting longer does not mend it."""
+
+
+class LayoutError(SweepdError):
+    """Bytes that are not a sweep of this layout, or not objects of it."""
+
+
+class Preamble(ctypes.Structure):
+    """What stands in front of the bytes of a sweep in shared memory: iceoryx2's user header."""
+
+    _fields_ = (
+        ("layout_version", ctypes.c_uint32),
+        ("reserved_4", ctypes.c_uint32),
+        ("sweep_bytes", ctypes.c_uint64),
+        ("reserved_16", ctypes.c_uint8 * 48),
+    )
+
+    @staticmethod
+    def type_name() -> str:
+        """Give the name by which iceoryx2 tells types apart."""
+        return "sweepd.Preamble"
+
+
+def other_version(what: str, reads: int = LAYOUT_VERSION) -> str:
+    """Say that `what` has another layout than this package reads, and the cure."""
+    return (
+        f"{what}, and this program reads version {reads}: install the Python package of the sweepd that runs "
+        "on this host, or run the sweepd that this one came with"
+    )
+
+
+def checked_header(data: NDArray[np.uint8]) -> Any:
+    """Copy the header of a sweep's bytes, a record of `HEADER`, when everything in it can be true of them.
+
+    Nothing that the copy tells lies outside of the bytes, whatever a publisher writes into its own afterwards. Raises
+    `LayoutError` for all else.
+    """
+    if len(data) < HEADER.itemsize or data.ctypes.data % 8 != 0:
+        raise LayoutError(f"{len(data)} bytes cannot hold a sweep, or are not aligned to 8 bytes")
+    header = data[: HEADER.itemsize].copy().view(HEADER)[0]
+    if bytes(header["magic"]) != MAGIC:
+        raise LayoutError("not a sweep of sweepd: the magic bytes at its beginning are missing")
+    if header["version"] != LAYOUT_VERSION:
+        raise LayoutError(other_version(f"a sweep of layout version {header['version']}"))
+    counts = ("rows", "columns", "columns_capacity", "segments", "segments_capacity", "margin_columns")
+    rows, columns, capacity, segments, room, margin = (int(header[key]) for key in counts)
+    pixels = rows * capacity
+    other = pixels if header["offsets"][PART_RANGE2] != 0 else 0
+    tables = [COLUMN.itemsize * capacity, BEAM.itemsize * rows, SEGMENT.itemsize * room]
+    offsets, end = [], HEADER.itemsize
+    for size in [4 * pixels, pixels, 4 * pixels, 4 * other, other, 4 * other, other, *tables]:
+        offsets.append(end if size else 0)
+        end = -(-(end + size) // ALIGN) * ALIGN if size else end
+    is_bounded = rows <= 256 and capacity <= 1 << 20 and room <= 1 << 28
+    if not is_bounded or margin + columns > capacity or segments > room:
+        raise LayoutError("the header's counts contradict each other")
+    if offsets != header["offsets"].tolist() or end != header["total_bytes"]:
+        raise LayoutError("the header's offsets contradict its counts")
+    if end > len(data):
+        raise LayoutError(f"{len(data)} bytes cannot hold a sweep of {end}")
+    return header
+
+
+def checked_objects_header(data: NDArray[np.uint8]) -> Any:
+    """Copy the header of a message of objects, a record of `OBJECTS_HEADER`, when all that it counts is in the bytes.
+
+    Raises `LayoutError` for all else.
+    """
+    if len(data) < OBJECTS_HEADER.itemsize:
+        raise LayoutError(f"{len(data)} bytes cannot hold objects")
+    header = data[: OBJECTS_HEADER.itemsize].copy().view(OBJECTS_HEADER)[0]
+    if bytes(header["magic"]) != OBJECTS_MAGIC:
+        raise LayoutError("not objects of sweepd: the magic bytes at their beginning are missing")
+    if header["version"] != OBJECTS_VERSION:
+        raise LayoutError(other_version(f"objects of version {header['version']}", OBJECTS_VERSION))
+    objects, labels = int(header["objects"]), int(header["labels"])
+    if OBJECTS_HEADER.itemsize + objects * OBJECT.itemsize + labels * LABEL.itemsize > len(data):
+        raise LayoutError(f"{len(data)} bytes cannot hold {objects} objects and {labels} labels")
+    return header

@@ -1,0 +1,31 @@
+//! `sweepd completions`: what a shell needs to complete the command line.
+
+use std::io::{self, Write as _};
+
+use clap::CommandFactory as _;
+use clap_complete::Shell;
+
+use super::{Cli, CliError};
+
+/// Options of `sweepd completions`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+The Debian package installs those of bash, zsh and fish.
+
+Example:
+  sweepd completions bash > ~/.local/share/bash-completion/completions/sweepd")]
+pub struct Args {
+    /// The shell
+    shell: Shell,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`CliError::Stdout`]: standard output takes no more.
+pub fn run(args: &Args) -> Result<(), CliError> {
+    let mut script = Vec::new();
+    // To memory: clap_complete panics where a pipe is closed.
+    clap_complete::generate(args.shell, &mut Cli::command(), "sweepd", &mut script);
+    io::stdout().write_all(&script).map_err(CliError::Stdout)
+}
