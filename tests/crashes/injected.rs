@@ -1,6 +1,6 @@
 //! SIGKILL at every call by which a program makes, fills, names or removes a file, with strace(1).
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
 use std::os::unix::process::ExitStatusExt;
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use std::{fmt, fs};
 
 use crate::setup::{Process, SOON, Setup, Watch};
-use crate::{Robot, SETTLE, files, no_more};
+use crate::{Files, Robot, SETTLE, files, no_more};
 use sweepd_lab::testkit::domain::clear;
 
 /// The calls; not every machine has those with a question mark.
@@ -257,7 +257,7 @@ fn make_room(robot: &mut Robot, victim: Victim) -> Result<(), String> {
 struct Round {
     robot: Robot,
     kills: usize,
-    files_after_few: Option<BTreeMap<String, usize>>,
+    files_after_few: Option<Files>,
 }
 
 impl Round {

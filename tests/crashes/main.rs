@@ -19,6 +19,7 @@ mod world;
 use common::setup;
 
 use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::fs;
 use std::time::{Duration, Instant};
 
@@ -132,19 +133,18 @@ impl Robot {
     }
 }
 
-/// How many files of each kind a domain has, in its folder and in shared memory; a kind is the
+/// The files of each kind that a domain has, in its folder and in shared memory; a kind is the
 /// ending of a name.
-fn files(setup: &Setup) -> BTreeMap<String, usize> {
-    let mut files = BTreeMap::new();
+type Files = BTreeMap<String, Vec<String>>;
+
+fn files(setup: &Setup) -> Files {
+    let mut files = Files::new();
     let mut left = setup.own.shared_memory();
     left.push(setup.own.root().to_owned());
     while let Some(path) = left.pop() {
-        let kind = path
-            .extension()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned();
-        *files.entry(kind).or_default() += 1;
+        let text = |part: Option<&OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
+        let kind = files.entry(text(path.extension())).or_default();
+        kind.push(text(path.file_name()));
         left.extend(
             fs::read_dir(path)
                 .into_iter()
@@ -156,14 +156,15 @@ fn files(setup: &Setup) -> BTreeMap<String, usize> {
     files
 }
 
+fn count(files: &Files) -> usize {
+    files.values().map(Vec::len).sum()
+}
+
 /// Fails if there are more files than there were before.
-fn no_more(
-    before: &BTreeMap<String, usize>,
-    after: &BTreeMap<String, usize>,
-) -> Result<(), String> {
-    if after.values().sum::<usize>() > before.values().sum() {
+fn no_more(before: &Files, after: &Files) -> Result<(), String> {
+    if count(after) > count(before) {
         return Err(format!(
-            "the files grow:\n{before:?} before,\n{after:?} after"
+            "the files grow:\n{before:#?} before,\n{after:#?} after"
         ));
     }
     Ok(())

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use crate::setup::{Process, SOON, sweepd};
-use crate::{LIMIT, Robot, SETTLE, files, no_more};
+use crate::{LIMIT, Robot, SETTLE, count, files, no_more};
 
 /// Environment variable: how many consumers `random_kills` kills; a fifth as many daemons.
 const VARIABLE: &str = "SWEEPD_KILLS";
@@ -102,8 +102,8 @@ fn kill(consumers: usize, daemons: usize) {
          before, {} after",
         begun.elapsed(),
         times.len(),
-        before.values().sum::<usize>(),
-        after.values().sum::<usize>(),
+        count(&before),
+        count(&after),
     );
     assert!(
         slowest <= LIMIT,

@@ -41,8 +41,8 @@ pub(super) fn remove_unfinished(domain: &Domain) -> bool {
     is_pending
 }
 
-/// Removes the files of services and nodes that were never completed, and listeners whose node is
-/// gone. For the one process that looks after the domain.
+/// Removes the files of services and nodes that were never completed, and of ports that are gone.
+/// For the one process that looks after the domain.
 pub(super) fn remove_remains(domain: &Domain) {
     // A service's file is written, and then closed to writing.
     for entry in entries(&domain.services()) {
@@ -52,7 +52,7 @@ pub(super) fn remove_remains(domain: &Domain) {
             remove_if_abandoned(&entry, &metadata);
         }
     }
-    remove_listeners(domain);
+    remove_files_of_ports(domain);
     remove_nodes(domain);
 }
 
@@ -61,30 +61,43 @@ pub(super) fn is_half_written(metadata: &Metadata) -> bool {
     metadata.mode() & OWNER_WRITE != 0
 }
 
-/// A listener has a file of shared memory and a socket. Its node has a tag of its number, which is
-/// made before both and removed after them. iceoryx2 leaves both where a process died before its
-/// service knew of the listener.
-fn remove_listeners(domain: &Domain) {
+/// A listener has a file of shared memory and a socket; a publisher and a subscriber share a
+/// connection. A port has a tag of its number, which is made before these files and removed after
+/// them. iceoryx2 leaves them where a process died before its service knew of the listener, or
+/// before the connection knew of its port.
+fn remove_files_of_ports(domain: &Domain) {
+    let mut files = Vec::new();
+    for entry in domain.shared_memory().chain(entries(domain.root())) {
+        if let Some(ports) = ports_of(&name_of(&entry)) {
+            files.push((entry, ports));
+        }
+    }
+    // Looked for later than the files: a port without a tag is then gone, not new.
     let nodes = entries(&domain.nodes()).map(|entry| entry.path());
     let tags: Vec<String> = nodes
         .flat_map(|node| entries(&node))
         .map(|entry| name_of(&entry))
         .collect();
-    for entry in domain.shared_memory().chain(entries(domain.root())) {
-        let name = name_of(&entry);
-        let number = name
-            .strip_suffix(".event_mgmt")
-            .or_else(|| name.strip_suffix(".event"));
-        let Some((_, number)) = number.and_then(|name| name.rsplit_once('_')) else {
-            continue;
-        };
-        let tag = format!("_{number}.port_tag");
-        if !tags.iter().any(|name| name.ends_with(&tag))
+    for (entry, ports) in files {
+        let has_tag = |port: &String| tags.iter().any(|name| name.ends_with(port));
+        if !ports.iter().all(has_tag)
             && let Ok(metadata) = entry.metadata()
         {
             remove_if_abandoned(&entry, &metadata);
         }
     }
+}
+
+/// How the names of the tags end of the ports that a file belongs to; `None` for other files.
+fn ports_of(name: &str) -> Option<Vec<String>> {
+    let (name, kind) = name.split_once('.')?;
+    let ports = match kind {
+        "event" | "event_mgmt" => 1,
+        "connection" => 2,
+        _ => return None,
+    };
+    let numbers = name.rsplit('_').take(ports);
+    Some(numbers.map(|port| format!("_{port}.port_tag")).collect())
 }
 
 /// Removes lists of participants whose service does not exist: it is made after its list, and its
