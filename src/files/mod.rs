@@ -1,7 +1,9 @@
-//! Reads files with a limit of length, and writes them by [`output`]. The core takes bytes.
+//! Reads files with a limit of length, and writes them by [`output`]; [`parts`] are recordings under
+//! way. The core takes bytes.
 
 mod mask;
 pub mod output;
+pub mod parts;
 
 use std::fs::File;
 use std::io::{self, Read};

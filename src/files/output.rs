@@ -6,6 +6,7 @@ use std::io::{self, Write};
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 
+use super::parts::{self, rename_to_free};
 use crate::text::count_of;
 
 /// What to do with existing files of the same name.
@@ -117,20 +118,10 @@ impl NewFile {
     /// # Errors
     /// [`WriteError`]: it exists and must not be replaced, or cannot be made.
     pub fn create(path: &Path, existing: Existing) -> Result<(File, Self), WriteError> {
-        check(path, existing)?;
         let failed = |cause| WriteError::file(path, cause);
-        let mut new = Self {
-            path: path.to_owned(),
-            part: None,
-            existing,
-            keeps_part: false,
-        };
-        if is_special(path) {
-            let file = File::options().append(true).open(path).map_err(failed)?;
+        let (mut new, special) = Self::begin(path, existing)?;
+        if let Some(file) = special {
             return Ok((file, new));
-        }
-        if path.is_dir() {
-            return Err(failed(io::ErrorKind::IsADirectory.into()));
         }
         let part = part_of(path);
         if existing == Existing::Replace {
@@ -145,6 +136,41 @@ impl NewFile {
         Ok((file, new))
     }
 
+    /// As [`NewFile::create`], for a recording: the part is locked, and has another name where that of
+    /// the file is taken.
+    ///
+    /// # Errors
+    /// As [`NewFile::create`].
+    pub fn create_recording(path: &Path, existing: Existing) -> Result<(File, Self), WriteError> {
+        let (mut new, special) = Self::begin(path, existing)?;
+        if let Some(file) = special {
+            return Ok((file, new));
+        }
+        let (part, file) = parts::create(path).map_err(|cause| WriteError::file(path, cause))?;
+        new.part = Some(part);
+        Ok((file, new))
+    }
+
+    /// A file without a part so far; a pipe or a device is opened.
+    fn begin(path: &Path, existing: Existing) -> Result<(Self, Option<File>), WriteError> {
+        check(path, existing)?;
+        let failed = |cause| WriteError::file(path, cause);
+        let new = Self {
+            path: path.to_owned(),
+            part: None,
+            existing,
+            keeps_part: false,
+        };
+        if is_special(path) {
+            let file = File::options().append(true).open(path).map_err(failed)?;
+            return Ok((new, Some(file)));
+        }
+        if path.is_dir() {
+            return Err(failed(io::ErrorKind::IsADirectory.into()));
+        }
+        Ok((new, None))
+    }
+
     /// Renames the file; all data must have been written.
     ///
     /// # Errors
@@ -154,24 +180,16 @@ impl NewFile {
         let Some(part) = &self.part else {
             return Ok(());
         };
-        if self.existing == Existing::Keep {
-            // Unlike a rename, a link never replaces a file.
-            match fs::hard_link(part, &self.path) {
-                // The part is removed on drop; the file has its other name now.
-                Ok(()) => {
-                    self.keeps_part = false;
-                    return Ok(());
-                }
-                Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists => {
-                    return Err(WriteError::Exists {
-                        path: self.path.clone(),
-                    });
-                }
-                // A file system without links, such as FAT.
-                Err(_) => check(&self.path, self.existing)?,
-            }
-        }
-        fs::rename(part, &self.path).map_err(|cause| self.failed(cause))?;
+        let renamed = match self.existing {
+            Existing::Keep => rename_to_free(part, &self.path),
+            Existing::Replace => fs::rename(part, &self.path),
+        };
+        renamed.map_err(|cause| match cause.kind() {
+            io::ErrorKind::AlreadyExists => WriteError::Exists {
+                path: self.path.clone(),
+            },
+            _ => self.failed(cause),
+        })?;
         self.part = None;
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! Writes one capture, plain or compressed; after a sync it can be read up to that point.
 
-use std::fs::{File, TryLockError};
+use std::fs::File;
 use std::io::{self, BufWriter, Stdout, Write};
 use std::path::Path;
 
@@ -9,6 +9,7 @@ use flate2::{Compression, GzBuilder};
 
 use crate::capture::write::{Addressed, PcapWriter};
 use crate::files::output::is_special;
+use crate::files::parts::is_being_written;
 
 /// The format of a capture, by the end of its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -172,12 +173,6 @@ impl CaptureFile {
             Sink::Stdout(_) => Ok(None),
         }
     }
-}
-
-/// Whether a recording of any process writes this file; if not, it is locked until it is closed. On
-/// a file system without locks, always `false`.
-pub(super) fn is_being_written(file: &File) -> bool {
-    matches!(file.try_lock(), Err(TryLockError::WouldBlock))
 }
 
 /// A pipe or a device has nothing to sync (fsync(2), EINVAL).

@@ -2,16 +2,18 @@
 
 use std::fs::{self, File};
 use std::io;
-use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
 use super::error::RecordError;
-use super::file::{CaptureFile, Format, is_being_written};
+use super::file::{CaptureFile, Format};
+use crate::capture::CaptureReader;
 use crate::capture::write::{Addressed, FILE_HEADER_LEN, record_len};
-use crate::files::output::{is_special, numbered, part_of, remove};
+use crate::files::output::{is_special, numbered};
+use crate::files::parts::{self, LeftBehind, is_being_written, is_named};
 
 /// Interval between syncs: a power failure loses at most this much.
 const SYNC_EVERY: Duration = Duration::from_secs(1);
@@ -55,6 +57,8 @@ pub(super) struct Files {
     file: CaptureFile,
     /// The file to replace when this one is complete.
     replaces: Option<PathBuf>,
+    /// What became of the parts that killed recordings left.
+    left_behind: Vec<LeftBehind>,
     /// Of the file: its length and the arrival of its first datagram.
     len: u64,
     begun_ns: Option<i64>,
@@ -79,13 +83,24 @@ impl Files {
         let (first, file) = open(path, format, rotation, &mut next_number)?;
         Ok(Self {
             path: path.to_owned(),
-            format,
             rotation,
+            next_number,
+            ..Self::of(first, file, format)
+        })
+    }
+
+    /// One file that was just begun.
+    fn of(first: PathBuf, file: CaptureFile, format: Format) -> Self {
+        Self {
+            path: first.clone(),
+            format,
+            rotation: Rotation::default(),
             file,
             replaces: None,
+            left_behind: Vec::new(),
             len: FILE_HEADER_LEN,
             begun_ns: None,
-            next_number,
+            next_number: 0,
             synced: Instant::now(),
             written: Written {
                 last: first.clone(),
@@ -95,7 +110,7 @@ impl Files {
                 datagrams: 0,
             },
             safe: (0, 0),
-        })
+        }
     }
 
     /// Begins the only file as `NAME.part`; when it is finished it is renamed, and replaces a file
@@ -111,14 +126,15 @@ impl Files {
             return Err(RecordError::of(path)(io::ErrorKind::IsADirectory.into()));
         }
         drop(unwritten(path)?);
-        let part = part_of(path);
-        // Locked until the new part has its name, since another recording may do the same at this
-        // moment.
-        let _left_behind = unwritten(&part)?;
-        remove(&part).map_err(RecordError::of(&part))?;
+        let left_behind = parts::recover(path, recover)
+            .map_err(|parts::Busy(path)| RecordError::Busy { path })?;
+        let (part, file) = parts::create(path).map_err(RecordError::of(path))?;
+        let file = CaptureFile::over(file, format).map_err(RecordError::of(&part))?;
+        let file = begun(&part, file)?;
         Ok(Self {
             replaces: Some(path.to_owned()),
-            ..Self::begin(&part, format, Rotation::default())?
+            left_behind,
+            ..Self::of(part, file, format)
         })
     }
 
@@ -149,6 +165,11 @@ impl Files {
         self.synced = Instant::now();
         self.safe = self.so_far();
         Ok(())
+    }
+
+    /// What became of the parts that killed recordings left.
+    pub(super) fn left_behind(&self) -> &[LeftBehind] {
+        &self.left_behind
     }
 
     /// Counts of what was written so far, to the disk or to a buffer.
@@ -264,14 +285,6 @@ fn unwritten(path: &Path) -> Result<Option<File>, RecordError> {
     Ok(Some(file))
 }
 
-/// Whether this open file still has this name.
-fn is_named(file: &File, path: &Path) -> bool {
-    let (Ok(opened), Ok(named)) = (file.metadata(), path.symlink_metadata()) else {
-        return false;
-    };
-    opened.dev() == named.dev() && opened.ino() == named.ino()
-}
-
 /// Ends a file and syncs it to the disk.
 fn close(file: CaptureFile, path: &Path) -> Result<Option<File>, RecordError> {
     file.finish_and_sync().map_err(RecordError::of(path))
@@ -303,19 +316,36 @@ fn open(
         match CaptureFile::create_new(&named, format) {
             Err(error) if rotation.is_wanted() && error.kind() == io::ErrorKind::AlreadyExists => {}
             Err(error) => return Err(RecordError::of(&named)(error)),
-            Ok(mut file) => {
-                // A full disk may still have room for a name; this shows that it has none for data.
-                if is_file(&named)
-                    && let Err(error) = file.sync()
-                {
-                    let _ = fs::remove_file(&named);
-                    return Err(RecordError::of(&named)(error));
-                }
-                sync_folder_of(&named);
+            Ok(file) => {
+                let file = begun(&named, file)?;
                 return Ok((named, file));
             }
         }
     }
+}
+
+/// A file that was just made, once it is on the disk; else it is removed.
+fn begun(path: &Path, mut file: CaptureFile) -> Result<CaptureFile, RecordError> {
+    // A full disk may still have room for a name; this shows that it has none for data.
+    if is_file(path)
+        && let Err(error) = file.sync()
+    {
+        let _ = fs::remove_file(path);
+        return Err(RecordError::of(path)(error));
+    }
+    sync_folder_of(path);
+    Ok(file)
+}
+
+/// Gives what a killed recording left a name of its own: a capture that is cut can be read.
+fn recover(part: &Path, path: &Path) -> io::Result<LeftBehind> {
+    let is_capture = CaptureReader::open(part).is_ok();
+    if !is_capture {
+        return Err(io::Error::other("it is no capture"));
+    }
+    let ending = Format::of(path).map_or("", Format::ending);
+    let path = parts::name_recovered(part, path, ending)?;
+    Ok(LeftBehind::Named { path })
 }
 
 /// Whether it is neither a pipe or a device nor a link to one.

@@ -31,6 +31,7 @@ pub use self::files::{Rotation, Written, open_special};
 use self::ring::{Consumer, Producer, ring};
 use super::write::Addressed;
 use crate::files::output::Existing;
+use crate::files::parts::LeftBehind;
 
 /// Capacity of a feed, bytes: 4.7 s of an HDL-64E S3 with two returns, 1.4 s of such a VLS-128. The memory is taken only when it is first
 /// used.
@@ -83,6 +84,7 @@ pub struct RecordCounts {
 pub struct Recorder {
     shared: Arc<Shared>,
     path: PathBuf,
+    left_behind: Vec<LeftBehind>,
     /// `None` when it was joined.
     writer: Option<JoinHandle<Written>>,
 }
@@ -120,7 +122,7 @@ pub struct RecorderConfig<'a> {
     pub rotation: Rotation,
     /// What to do with an existing file of this name. A file to replace stays until the recording
     /// is finished; until then, or if the disk fails, the new one is `NAME.part`. Then there is no
-    /// rotation.
+    /// rotation. A part that a killed recording left gets a name of its own.
     pub existing: Existing,
     /// What to write.
     pub accept: Accept,
@@ -158,6 +160,7 @@ impl Recorder {
             ..Shared::default()
         });
         let path = files.written().first.clone();
+        let left_behind = files.left_behind().to_vec();
         let writer = Writer {
             shared: Arc::clone(&shared),
             files,
@@ -172,6 +175,7 @@ impl Recorder {
         Ok(Self {
             shared,
             path,
+            left_behind,
             writer: Some(thread),
         })
     }
@@ -190,6 +194,11 @@ impl Recorder {
     /// The first file.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// What became of files that killed recordings of the same name left. For people.
+    pub fn left_behind(&self) -> &[LeftBehind] {
+        &self.left_behind
     }
 
     /// How far it is.

@@ -201,8 +201,9 @@ fn a_second_recording_never_takes_the_file_of_the_first() {
     let path = folder.path().join("x.pcap");
     let other_name = folder.path().join("same").join("x.pcap");
     std::os::unix::fs::symlink(folder.path(), folder.path().join("same")).unwrap();
-    // A part that a killed recording left behind is not in use.
-    std::fs::write(folder.path().join("x.pcap.part"), "left behind").unwrap();
+    // A part that is no recording's is not in use, and stays.
+    let other = folder.path().join("x.pcap.part");
+    std::fs::write(&other, "left behind").unwrap();
     let first = Recorder::start(replacing(&path)).unwrap();
     record_one(&first);
     for name in [&path, &other_name] {
@@ -211,6 +212,7 @@ fn a_second_recording_never_takes_the_file_of_the_first() {
     }
     let (_, ended) = first.finish();
     assert!(ended.is_ok() && read(&path).len() == 1);
+    assert_eq!(std::fs::read(&other).unwrap(), b"left behind");
     // A file that has its name from the beginning is not replaced before it ends either.
     let plain = folder.path().join("plain.pcap");
     let first = Recorder::start(RecorderConfig::new(&plain)).unwrap();
@@ -279,4 +281,53 @@ fn a_folder_is_not_replaced() {
     let error = Recorder::start(replacing(&path)).unwrap_err().to_string();
     assert!(error.contains("choose another name"), "{error}");
     assert!(!folder.path().join("x.pcap.part").exists());
+}
+
+/// Whatever a killed recording left, its bytes stay, and the next one records.
+#[test]
+fn a_part_that_was_left_is_kept_and_stops_no_recording() {
+    for ending in [".pcap", ".pcap.gz"] {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(format!("x{ending}"));
+        let recorder = Recorder::start(replacing(&path)).unwrap();
+        let mut feed = recorder.feed();
+        let payload = fastrand::Rng::with_seed(3).u64(..).to_le_bytes();
+        for number in 0..500 {
+            assert!(feed.put(&addressed(SECOND_NS + number, 2368, &payload.repeat(150))));
+        }
+        recorder.finish().1.unwrap();
+        let good = std::fs::read(&path).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        let mut random = fastrand::Rng::with_seed(4);
+        let noise: Vec<u8> = std::iter::repeat_with(|| random.u8(..))
+            .take(4096)
+            .collect();
+        let flipped = |bit: usize| {
+            let mut damaged = good.clone();
+            damaged[bit / 8] ^= 1 << (bit % 8);
+            damaged
+        };
+        let mut middle = good.clone();
+        let half = good.len() / 2;
+        middle.truncate(half);
+        middle.extend(noise.iter().chain(&good[(half + 4096).min(good.len())..]));
+        let bits = (0..400).chain((0..60).map(|_| random.usize(0..8 * good.len())));
+        let cuts = [1, 3, 10, 23, 24, 25, 300, good.len() - 1];
+        let damaged = bits
+            .map(flipped)
+            .chain(cuts.map(|cut| good[..cut].to_vec()));
+        let behind = [&good[..], &noise].concat();
+        for left in damaged.chain([middle, behind, b"Dear Sir,".to_vec()]) {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join(format!("x{ending}"));
+            std::fs::write(folder.path().join(format!("x{ending}.part")), &left).unwrap();
+            let recorder = Recorder::start(replacing(&path)).unwrap();
+            assert_eq!(recorder.left_behind().len(), 1);
+            record_one(&recorder);
+            assert!(recorder.finish().1.is_ok() && read(&path).len() == 1);
+            let files = std::fs::read_dir(folder.path()).unwrap();
+            let mut files = files.map(|file| std::fs::read(file.unwrap().path()).unwrap());
+            assert!(files.any(|bytes| bytes == left));
+        }
+    }
 }

@@ -36,6 +36,9 @@ pub fn record(
         .iter()
         .map(|source| source.local_addr().to_string())
         .collect();
+    for left in recorder.left_behind() {
+        complain("note", left);
+    }
     announce(&places.join(", "), recorder.path());
     let inputs = sources.into_iter().map(|source| Input {
         source,

@@ -103,13 +103,17 @@ impl Target {
             }),
             None => Box::new(|_| true),
         };
-        Recorder::start(RecorderConfig {
+        let recorder = Recorder::start(RecorderConfig {
             path: &self.path,
             rotation: self.rotation,
             existing: self.existing,
             accept,
             counts,
-        })
+        })?;
+        for left in recorder.left_behind() {
+            tracing::warn!("{left}");
+        }
+        Ok(recorder)
     }
 
     /// What came of the sensor.
