@@ -165,6 +165,9 @@ pub enum Damage {
     /// A record that reaches beyond the chunk of a bag that it is in.
     #[error("a record reaches beyond the end of its chunk")]
     ChunkEnd,
+    /// A chunk of a bag whose records are not those that were written.
+    #[error("the check sum of its chunk is wrong")]
+    ChunkSum,
     /// A chunk of a bag that is compressed in an unknown way.
     #[error("its chunk is compressed with `{found}`; expected none, lz4, zstd or bz2")]
     ChunkCompression {
@@ -187,7 +190,7 @@ pub enum Damage {
 
 /// What stops a reader: the machine, or the capture itself.
 #[derive(Debug)]
-pub(super) enum Stop {
+pub(crate) enum Stop {
     Read(io::Error),
     Damaged(Damage),
 }

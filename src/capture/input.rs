@@ -108,7 +108,7 @@ impl Opened {
 }
 
 /// A decompressed stream of bytes that counts how far it was read.
-pub(super) struct Input {
+pub(crate) struct Input {
     source: BufReader<Box<dyn Read + Send>>,
     compression: Option<&'static str>,
     offset: u64,
@@ -152,7 +152,7 @@ impl Input {
     }
 
     /// Reads what `source` has decompressed.
-    fn over(source: Box<dyn Read + Send>, compression: Option<&'static str>) -> Self {
+    pub(crate) fn over(source: Box<dyn Read + Send>, compression: Option<&'static str>) -> Self {
         Self {
             source: BufReader::with_capacity(BUFFER_LEN, source),
             compression,
@@ -243,7 +243,7 @@ impl Input {
     }
 
     /// All that is left, at most `most` bytes.
-    pub(super) fn rest(mut self, most: u64) -> io::Result<Vec<u8>> {
+    pub(crate) fn rest(mut self, most: u64) -> io::Result<Vec<u8>> {
         let mut bytes = Vec::new();
         (&mut self.source).take(most).read_to_end(&mut bytes)?;
         Ok(bytes)
@@ -290,10 +290,10 @@ impl Input {
 
 /// A stream that is read both here and through the decompressor of a chunk in it.
 #[derive(Clone)]
-pub(super) struct SharedInput(Arc<Mutex<Input>>);
+pub(crate) struct SharedInput(Arc<Mutex<Input>>);
 
 impl SharedInput {
-    pub(super) fn new(input: Input) -> Self {
+    pub(crate) fn new(input: Input) -> Self {
         Self(Arc::new(Mutex::new(input)))
     }
 

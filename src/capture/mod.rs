@@ -8,10 +8,10 @@
 //! * [`mod@write`]: captures written.
 //! * [`record`]: records live sensors without delaying them.
 
-mod bag;
+pub(crate) mod bag;
 pub mod error;
 mod frame;
-mod input;
+pub(crate) mod input;
 pub mod link;
 pub mod pace;
 pub mod pcap;

@@ -442,6 +442,39 @@ fn lengths_that_are_lies_are_refused_or_end_the_reading() {
     }
 }
 
+/// A wrong bit in a chunk with a check sum gives no packet of that chunk, however it is compressed.
+#[test]
+fn a_chunk_whose_check_sum_is_wrong_ends_the_reading() {
+    for compression in ["none", "lz4", "zstd"] {
+        let names = [mcap::schema(1, SCAN), mcap::channel(0, 1, "/left", "cdr")].concat();
+        let message = |byte: u8| mcap::message(0, &cdr(&[(5, byte)], false));
+        let chunk = |records: &[u8], sum: u32| {
+            let mut chunk = mcap::chunk(compression, records);
+            // Behind the head of the record, both times and the length.
+            chunk[9 + 24..9 + 28].copy_from_slice(&sum.to_le_bytes());
+            chunk
+        };
+        let sum = |records: &[u8]| {
+            let mut sum = flate2::Crc::new();
+            sum.update(records);
+            sum.sum()
+        };
+        let first = chunk(&[names.clone(), message(1)].concat(), 0);
+        let (good, bad) = (message(2), message(3));
+        let whole = mcap::file(&[first.clone(), chunk(&good, sum(&good))]);
+        let (all, end) = read(open(&whole).unwrap());
+        assert_eq!((all.len(), end), (2, None));
+        let wrong = mcap::file(&[first, chunk(&bad, sum(&good))]);
+        let (all, end) = read(open(&wrong).unwrap());
+        let end = end.expect("a wrong check sum");
+        assert_eq!(all.len(), 1);
+        assert!(
+            end.ends_with("the check sum of its chunk is wrong"),
+            "{end}"
+        );
+    }
+}
+
 #[test]
 fn a_database_with_a_view_in_place_of_a_table_is_refused() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,6 +1,7 @@
 //! Records one behind another, some of them in chunks that may be compressed: what MCAP and ROS 1
 //! bags have in common.
 
+use super::mcap::ChunkHeader;
 use crate::capture::error::{Damage, Place, Stop};
 use crate::capture::input::{Input, SharedInput};
 
@@ -82,18 +83,39 @@ impl Chunks {
         Ok(())
     }
 
+    /// The next bytes are the body of an MCAP chunk, `len` in all.
+    pub(super) fn enter_mcap(&mut self, len: u64) -> Result<(), Stop> {
+        let entered = ChunkHeader::read(&mut self.file, len).and_then(|header| {
+            let end = self
+                .file
+                .lock()
+                .offset()
+                .saturating_add(header.compressed_len);
+            let records = header.records(&self.file)?;
+            Ok(Chunk { records, end })
+        });
+        self.chunk = Some(entered.map_err(|stop| of_file(&self.file, stop))?);
+        Ok(())
+    }
+
     /// Reads from the chunk, or from the file outside of one.
     fn read<T>(&mut self, read: impl FnOnce(&mut Input) -> Result<T, Stop>) -> Result<T, Stop> {
         let Some(chunk) = &mut self.chunk else {
             return read(&mut self.file.lock());
         };
         read(&mut chunk.records).map_err(|stop| match stop {
-            // The file itself may be compressed, and damaged.
-            Stop::Read(error) => self.file.lock().stop(error),
             Stop::Damaged(Damage::Cut) if self.file.lock().offset() >= chunk.end => {
                 Damage::ChunkEnd.into()
             }
-            other => other,
+            other => of_file(&self.file, other),
         })
+    }
+}
+
+/// What an error of reading means: the file itself may be compressed, and damaged.
+fn of_file(file: &SharedInput, stop: Stop) -> Stop {
+    match stop {
+        Stop::Read(error) => file.lock().stop(error),
+        damaged => damaged,
     }
 }

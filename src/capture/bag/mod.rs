@@ -7,7 +7,7 @@
 //! into a bag, so sweeps have the time of the capture.
 
 mod chunks;
-mod mcap;
+pub(crate) mod mcap;
 mod ros1;
 mod scan;
 #[cfg(feature = "sqlite")]

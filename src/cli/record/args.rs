@@ -18,7 +18,7 @@ records what the daemon receives.
 With --mcap, this program records the sweeps that the daemon shares, not its packets: points, boxes of \
 the segments, and where the sensor sits, as messages of ROS 2. A sweep is on the disk about a second \
 after it came. A file is called FILE.part while it is being written; if a kill leaves one, the next \
-recording to that name repairs it.
+recording to that name mends it, as NAME-recovered.mcap. Nothing that is damaged is deleted.
 
 Examples:
   sweepd record -o drive.pcap
@@ -28,7 +28,8 @@ Examples:
   sweepd record -o roof.pcap --from roof
   sweepd record --mcap roof.mcap --from roof --rotate-seconds 60")]
 pub struct Args {
-    /// File to write: NAME.pcap or NAME.pcap.gz; with --force it is NAME.pcap.part until it ends
+    /// File to write: NAME.pcap or NAME.pcap.gz; with --force it is NAME.pcap.part until it ends, and
+    /// such a part of a recording that was killed becomes NAME-recovered.pcap
     #[arg(short, long, value_name = "FILE", required_unless_present = "mcap")]
     pub(super) output: Option<PathBuf>,
     /// File to write sweeps to instead of packets: NAME.mcap, for Foxglove and ros2 bag; it gets those

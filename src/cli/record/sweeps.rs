@@ -11,7 +11,8 @@ use super::args::Args;
 use super::live::{TICK, announce, live_line};
 use crate::cli::{CliError, complain};
 use crate::export::WriteError;
-use crate::export::mcap::{McapFiles, Mended, SweepMessages, WrittenSweeps};
+use crate::export::mcap::{McapFiles, SweepMessages, WrittenSweeps};
+use crate::files::parts::LeftBehind;
 use crate::text::{count_of, grouped};
 use sweepd_client::client::Client;
 use sweepd_client::publish::Domain;
@@ -26,7 +27,12 @@ const SILENCE: Duration = Duration::from_secs(2);
 /// Records a sensor until `over` is set, the time is up, or the disk fails.
 pub fn record(args: &Args, sensor: &str, path: &Path, over: &AtomicBool) -> Result<(), CliError> {
     let client = Client::within(&Domain::at_or_default(args.root.as_deref()), sensor)?;
-    let files = McapFiles::create(path, args.rotation(), args.force.existing(), note_mended)?;
+    let files = McapFiles::create(
+        path,
+        args.rotation(),
+        args.force.existing(),
+        note_left_behind,
+    )?;
     announce(&format!("sweeps of {sensor}"), &files.written().first);
     let begun = Instant::now();
     let bytes = &AtomicU64::new(0);
@@ -67,13 +73,8 @@ pub fn record(args: &Args, sensor: &str, path: &Path, over: &AtomicBool) -> Resu
     Ok(())
 }
 
-fn note_mended(mended: &Mended) {
-    let messages = count_of(mended.messages, "message");
-    let file = mended.path.display();
-    complain(
-        "note",
-        format_args!("{file}: mended, as its recording did not come to its end; it has {messages}"),
-    );
+fn note_left_behind(left: &LeftBehind) {
+    complain("note", left);
 }
 
 /// What came.

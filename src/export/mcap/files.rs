@@ -1,13 +1,14 @@
 //! The files of a recording of sweeps: one, or a sequence.
 
-use std::fs::{File, TryLockError};
+use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use super::{McapWriter, SweepMessages, mend_file};
 use crate::capture::record::Rotation;
-use crate::files::output::{Existing, NewFile, WriteError, is_special, numbered, part_of};
+use crate::files::output::{Existing, NewFile, WriteError, check, is_special, numbered};
+use crate::files::parts::{self, LeftBehind, rename_to_free};
 
 /// The ending of their names.
 const ENDING: &str = ".mcap";
@@ -29,15 +30,6 @@ pub struct WrittenSweeps {
     pub files: u64,
 }
 
-/// A file that a recording left without an end, and that was mended.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Mended {
-    /// Its name now.
-    pub path: PathBuf,
-    /// Messages in it.
-    pub messages: u64,
-}
-
 /// Files under way. A file is `NAME.mcap.part` until it has its end. Where the disk fails it stays
 /// so, whole up to its last second.
 pub struct McapFiles {
@@ -47,7 +39,7 @@ pub struct McapFiles {
     next_number: u64,
     file: OpenFile,
     written: WrittenSweeps,
-    on_mended: fn(&Mended),
+    on_left_behind: fn(&LeftBehind),
 }
 
 struct OpenFile {
@@ -63,8 +55,8 @@ struct OpenFile {
 }
 
 impl McapFiles {
-    /// Begins the first file. Files in the place of one that a killed recording left are mended
-    /// first, and `on_mended` is told.
+    /// Begins the first file. What a killed recording left in the place of a file is mended first,
+    /// and `on_left_behind` is told.
     ///
     /// # Errors
     /// [`WriteError`]: a file exists or is being written, or cannot be written.
@@ -72,11 +64,11 @@ impl McapFiles {
         path: &Path,
         rotation: Rotation,
         existing: Existing,
-        on_mended: fn(&Mended),
+        on_left_behind: fn(&LeftBehind),
     ) -> Result<Self, WriteError> {
         check_name(path)?;
         let mut next_number = 0;
-        let file = open(path, rotation, existing, &mut next_number, on_mended)?;
+        let file = open(path, rotation, existing, &mut next_number, on_left_behind)?;
         Ok(Self {
             path: path.to_owned(),
             existing,
@@ -89,7 +81,7 @@ impl McapFiles {
                 ..WrittenSweeps::default()
             },
             file,
-            on_mended,
+            on_left_behind,
         })
     }
 
@@ -157,7 +149,7 @@ impl McapFiles {
             self.rotation,
             self.existing,
             &mut self.next_number,
-            self.on_mended,
+            self.on_left_behind,
         )?;
         self.written.last = next.path.clone();
         self.written.files += 1;
@@ -167,12 +159,9 @@ impl McapFiles {
 
 impl OpenFile {
     fn begin(path: PathBuf, existing: Existing) -> Result<Self, WriteError> {
-        let (file, mut new) = NewFile::create(&path, existing)?;
+        let (file, mut new) = NewFile::create_recording(&path, existing)?;
         let failed = |cause| WriteError::file(&path, cause);
         let disk = file.try_clone().map_err(failed)?;
-        // Other recordings see by the lock that the file is not left behind; where files cannot be
-        // locked they cannot see it.
-        let _ = file.try_lock();
         let mut writer = McapWriter::new(BufWriter::new(file)).map_err(failed)?;
         // A full disk may still have room for a name; this shows that it has none for data.
         writer.flush().map_err(failed)?;
@@ -234,44 +223,59 @@ fn open(
     rotation: Rotation,
     existing: Existing,
     next_number: &mut u64,
-    on_mended: fn(&Mended),
+    on_left_behind: fn(&LeftBehind),
 ) -> Result<OpenFile, WriteError> {
     if !rotation.is_wanted() {
-        if existing == Existing::Keep {
-            mend_left_behind(path, on_mended)?;
-        }
+        check(path, existing)?;
+        recover(path, mend_beside, on_left_behind)?;
         return OpenFile::begin(path.to_owned(), existing);
     }
     loop {
         let path = numbered(path, ENDING, *next_number);
         *next_number += 1;
-        match mend_left_behind(&path, on_mended) {
+        if path.symlink_metadata().is_ok() {
+            continue;
+        }
+        match recover(&path, mend_in_place, on_left_behind) {
             // Another recording of the same sequence writes it.
             Err(WriteError::Busy { .. }) => continue,
             other => other?,
         }
         match OpenFile::begin(path, existing) {
-            Err(WriteError::Exists { .. } | WriteError::Part { .. }) => {}
+            Err(WriteError::Exists { .. }) => {}
             other => return other,
         }
     }
 }
 
-/// Mends the part of a recording that was killed, if there is one in the place of this file.
-fn mend_left_behind(path: &Path, on_mended: fn(&Mended)) -> Result<(), WriteError> {
-    let part = part_of(path);
-    let is_file = |path: &Path| path.symlink_metadata().is_ok_and(|found| found.is_file());
-    if !is_file(&part) || path.symlink_metadata().is_ok() {
+/// Looks after what killed recordings left in the place of a file. That it cannot be mended keeps no
+/// recording from beginning.
+fn recover(
+    path: &Path,
+    mend: fn(part: &Path, path: &Path) -> io::Result<LeftBehind>,
+    on_left_behind: fn(&LeftBehind),
+) -> Result<(), WriteError> {
+    if is_special(path) {
         return Ok(());
     }
-    let file = File::open(&part).map_err(|cause| WriteError::file(&part, cause))?;
-    if matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
-        return Err(WriteError::Busy { path: part });
+    let left = parts::recover(path, mend);
+    for one in left.map_err(|parts::Busy(path)| WriteError::Busy { path })? {
+        on_left_behind(&one);
     }
-    let messages = mend_file(&part, path)?;
-    on_mended(&Mended {
-        path: path.to_owned(),
-        messages,
-    });
     Ok(())
+}
+
+/// The mended file of a sequence has its number.
+fn mend_in_place(part: &Path, path: &Path) -> io::Result<LeftBehind> {
+    mend_file(part, path, |copy, path| {
+        rename_to_free(copy, path)?;
+        Ok(path.to_owned())
+    })
+}
+
+/// The name of a single file is for the recording that begins: the mended one has another.
+fn mend_beside(part: &Path, path: &Path) -> io::Result<LeftBehind> {
+    mend_file(part, path, |copy, path| {
+        parts::name_recovered(copy, path, ENDING)
+    })
 }

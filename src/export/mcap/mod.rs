@@ -27,9 +27,12 @@ use sweepd_messages::message_type::{self, MessageType};
 use sweepd_messages::transforms::{self, Transform};
 use sweepd_messages::{Cloud, MessageHeader, Stamp, markers, names};
 
-pub use files::{McapFiles, Mended, WrittenSweeps, check_name};
-pub use mend::{mend, mend_file};
+pub use files::{McapFiles, WrittenSweeps, check_name};
+use mend::mend_file;
+pub use mend::{Mended, mend};
 
+/// The program, as the header of a file names it.
+const LIBRARY: &str = "sweepd";
 /// The frame of the robot, in which a sensor sits.
 const ROBOT_FRAME: &str = "base_link";
 
@@ -54,6 +57,61 @@ macro_rules! offered {
 const OFFERED: &str = offered!("5", "volatile");
 /// Of topics whose last message stays valid.
 const OFFERED_STATIC: &str = offered!("1", "transient_local");
+
+/// A topic of a sensor.
+struct Topic {
+    /// Of its channel and its schema, in a file of one sensor.
+    id: u16,
+    /// Its name; with `{}` for that of the sensor.
+    name: &'static str,
+    message_type: &'static MessageType,
+    offered: &'static str,
+}
+
+const TRANSFORMS: Topic = Topic {
+    id: 1,
+    name: "/tf_static",
+    message_type: &message_type::TF_MESSAGE,
+    offered: OFFERED_STATIC,
+};
+const POINTS: Topic = Topic {
+    id: 2,
+    name: "/sweepd/{}/points",
+    message_type: &message_type::POINT_CLOUD,
+    offered: OFFERED,
+};
+const MARKERS: Topic = Topic {
+    id: 3,
+    name: "/sweepd/{}/markers",
+    message_type: &message_type::MARKER_ARRAY,
+    offered: OFFERED,
+};
+
+/// All, in the order in which a file of one sensor gets them.
+const TOPICS: [Topic; 3] = [TRANSFORMS, POINTS, MARKERS];
+
+impl Topic {
+    /// Adds its channel, unless there is one; gives the channel's number.
+    fn add<W: Write>(
+        &self,
+        writer: &mut mcap::Writer<NoSeek<W>>,
+        sensor: &str,
+    ) -> Result<u16, McapError> {
+        let MessageType {
+            name,
+            hash,
+            definition,
+        } = self.message_type;
+        let schema = writer.add_schema(name, "ros2msg", definition.as_bytes())?;
+        let metadata = [
+            ("offered_qos_profiles", self.offered),
+            ("topic_type_hash", hash),
+        ];
+        let metadata = metadata.map(|(key, value)| (key.to_owned(), value.to_owned()));
+        let name = self.name.replace("{}", sensor);
+        writer.add_channel(schema, &name, "cdr", &metadata.into())
+    }
+}
 
 /// The messages of one sweep.
 pub struct SweepMessages {
@@ -170,24 +228,15 @@ impl<W: Write> McapWriter<W> {
         transforms::encode(messages.time_ns as i64, &mounts, &mut message);
         let channel = match &mut self.static_transforms {
             Some(channel) => channel,
-            none => none.insert(Channel::add(
-                &mut self.writer,
-                "/tf_static",
-                &message_type::TF_MESSAGE,
-                OFFERED_STATIC,
-            )?),
+            none => none.insert(Channel::new(TRANSFORMS.add(&mut self.writer, "")?)),
         };
         channel.write(&mut self.writer, messages.time_ns, &message)
     }
 
     fn add_sensor(&mut self, sensor: &str) -> Result<SensorChannels, McapError> {
-        let mut add = |topic: &str, message_type: &MessageType| {
-            let topic = format!("/sweepd/{sensor}/{topic}");
-            Channel::add(&mut self.writer, &topic, message_type, OFFERED)
-        };
         Ok(SensorChannels {
-            points: add("points", &message_type::POINT_CLOUD)?,
-            markers: add("markers", &message_type::MARKER_ARRAY)?,
+            points: Channel::new(POINTS.add(&mut self.writer, sensor)?),
+            markers: Channel::new(MARKERS.add(&mut self.writer, sensor)?),
         })
     }
 
@@ -212,23 +261,8 @@ impl<W: Write> McapWriter<W> {
 }
 
 impl Channel {
-    fn add<W: Write>(
-        writer: &mut mcap::Writer<NoSeek<W>>,
-        topic: &str,
-        message_type: &MessageType,
-        offered: &str,
-    ) -> Result<Self, McapError> {
-        let definition = message_type.definition.as_bytes();
-        let schema = writer.add_schema(message_type.name, "ros2msg", definition)?;
-        let metadata = [
-            ("offered_qos_profiles", offered),
-            ("topic_type_hash", message_type.hash),
-        ];
-        let metadata = metadata.map(|(key, value)| (key.to_owned(), value.to_owned()));
-        Ok(Self {
-            id: writer.add_channel(schema, topic, "cdr", &metadata.into())?,
-            messages: 0,
-        })
+    fn new(id: u16) -> Self {
+        Self { id, messages: 0 }
     }
 
     fn write<W: Write>(
@@ -290,7 +324,7 @@ impl McapOutput {
 fn options() -> WriteOptions {
     WriteOptions::new()
         .profile("ros2")
-        .library(format!("sweepd {VERSION}"))
+        .library(format!("{LIBRARY} {VERSION}"))
         // Files of three quarters the size. With zstd they have 0.58 of it, and take twice the time.
         .compression(Some(Compression::Lz4))
         .disable_seeking(true)

@@ -13,7 +13,11 @@
 //! whole, of any topic, does not say where a file breaks off, and subtracts without a check where a
 //! record reaches beyond a plain chunk. The index at the end is not needed.
 
+mod chunk;
+
 use std::collections::HashMap;
+
+pub(crate) use chunk::{ChunkHeader, MAX_LEN};
 
 use super::chunks::Chunks;
 use super::scan::Encoding;
@@ -21,17 +25,30 @@ use super::{Log, MAX_MESSAGE_LEN, Message, Topics};
 use crate::capture::error::{Damage, Place, Stop};
 use crate::capture::input::Input;
 
-pub(super) const MAGIC: &[u8] = b"\x89MCAP0\r\n";
+pub(crate) const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
+pub(crate) const HEADER: u8 = 0x01;
 const FOOTER: u8 = 0x02;
-const SCHEMA: u8 = 0x03;
-const CHANNEL: u8 = 0x04;
-const MESSAGE: u8 = 0x05;
-const CHUNK: u8 = 0x06;
-const DATA_END: u8 = 0x0F;
+pub(crate) const SCHEMA: u8 = 0x03;
+pub(crate) const CHANNEL: u8 = 0x04;
+pub(crate) const MESSAGE: u8 = 0x05;
+pub(crate) const CHUNK: u8 = 0x06;
+pub(crate) const MESSAGE_INDEX: u8 = 0x07;
+const CHUNK_INDEX: u8 = 0x08;
+const STATISTICS: u8 = 0x0B;
+const SUMMARY_OFFSET: u8 = 0x0E;
+pub(crate) const DATA_END: u8 = 0x0F;
+/// What stands behind the end of the data.
+pub(crate) const SUMMARY: [u8; 6] = [
+    FOOTER,
+    SCHEMA,
+    CHANNEL,
+    CHUNK_INDEX,
+    STATISTICS,
+    SUMMARY_OFFSET,
+];
 
 const MESSAGE_HEADER_LEN: u64 = 22;
-const CHUNK_HEADER_LEN: u64 = 28;
 /// Names stand at the start of their record; more than this of it is not read.
 const NAMES_LEN: u64 = 4096;
 
@@ -111,26 +128,6 @@ impl Mcap {
             bytes,
         }))
     }
-
-    fn chunk(&mut self, len: u64) -> Result<(), Stop> {
-        let damaged = Damage::BagRecord { what: "chunk" };
-        let mut header = [0; CHUNK_HEADER_LEN as usize + 4];
-        self.records.fill(&mut header)?;
-        let [.., a, b, c, d] = header;
-        let name_len = u64::from(u32::from_le_bytes([a, b, c, d]));
-        let name = self
-            .records
-            .load(super::bounded(name_len, 64, "compression")?)?;
-        let mut records_len = [0; 8];
-        self.records.fill(&mut records_len)?;
-        let records_len = u64::from_le_bytes(records_len);
-        let header_len = CHUNK_HEADER_LEN + 4 + name_len + 8;
-        if header_len.checked_add(records_len) != Some(len) {
-            return Err(damaged.into());
-        }
-        self.records
-            .enter(&String::from_utf8_lossy(&name), records_len)
-    }
 }
 
 impl Log for Mcap {
@@ -150,7 +147,7 @@ impl Log for Mcap {
                         return Ok(Some(message));
                     }
                 }
-                CHUNK if !self.records.is_in_chunk() => self.chunk(len)?,
+                CHUNK if !self.records.is_in_chunk() => self.records.enter_mcap(len)?,
                 DATA_END | FOOTER => return Ok(None),
                 // No record has this: a file system fills the end of a file with it.
                 0 => return Err(Damage::BagRecord { what: "type" }.into()),
@@ -164,14 +161,29 @@ impl Log for Mcap {
     }
 }
 
-fn split_u16(bytes: &[u8]) -> Option<(u16, &[u8])> {
+pub(crate) fn split_u16(bytes: &[u8]) -> Option<(u16, &[u8])> {
     let (&number, rest) = bytes.split_first_chunk()?;
     Some((u16::from_le_bytes(number), rest))
 }
 
+pub(crate) fn split_u32(bytes: &[u8]) -> Option<(u32, &[u8])> {
+    let (&number, rest) = bytes.split_first_chunk()?;
+    Some((u32::from_le_bytes(number), rest))
+}
+
+pub(crate) fn split_u64(bytes: &[u8]) -> Option<(u64, &[u8])> {
+    let (&number, rest) = bytes.split_first_chunk()?;
+    Some((u64::from_le_bytes(number), rest))
+}
+
+/// Bytes with their length before them.
+pub(crate) fn split_bytes(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
+    let (len, rest) = split_u32(bytes)?;
+    rest.split_at_checked(len as usize)
+}
+
 /// A text with its length before it.
-fn split_text(bytes: &[u8]) -> Option<(String, &[u8])> {
-    let (&len, rest) = bytes.split_first_chunk()?;
-    let (text, rest) = rest.split_at_checked(u32::from_le_bytes(len) as usize)?;
+pub(crate) fn split_text(bytes: &[u8]) -> Option<(String, &[u8])> {
+    let (text, rest) = split_bytes(bytes)?;
     Some((String::from_utf8_lossy(text).into_owned(), rest))
 }
