@@ -243,7 +243,7 @@ impl Input {
     }
 
     /// All that is left, at most `most` bytes.
-    pub(crate) fn rest(mut self, most: u64) -> io::Result<Vec<u8>> {
+    pub(super) fn rest(mut self, most: u64) -> io::Result<Vec<u8>> {
         let mut bytes = Vec::new();
         (&mut self.source).take(most).read_to_end(&mut bytes)?;
         Ok(bytes)

@@ -45,14 +45,8 @@ pub enum WriteError {
         /// The file.
         path: PathBuf,
     },
-    /// The part of a file exists.
-    #[error("{} exists: another run writes it, or one was killed; --force replaces it", path.display())]
-    Part {
-        /// The part.
-        path: PathBuf,
-    },
     /// Another process writes the file.
-    #[error("another recording writes {}; end that one first, or choose another name", path.display())]
+    #[error("another process writes {}; end that one first, or choose another name", path.display())]
     Busy {
         /// The file.
         path: PathBuf,
@@ -99,8 +93,9 @@ impl WriteError {
     }
 }
 
-/// A file that is being written as `NAME.part`. [`NewFile::commit`] renames it; without that, the
-/// part is removed and an existing file stays unchanged. A pipe or a device is written directly.
+/// A file that is being written as `NAME.part`, see [`parts`]. [`NewFile::commit`] renames it; without
+/// that, the part is removed and an existing file stays unchanged. A pipe or a device is written
+/// directly.
 #[derive(Debug)]
 #[must_use = "without a commit the file is removed"]
 pub struct NewFile {
@@ -118,44 +113,14 @@ impl NewFile {
     /// # Errors
     /// [`WriteError`]: it exists and must not be replaced, or cannot be made.
     pub fn create(path: &Path, existing: Existing) -> Result<(File, Self), WriteError> {
-        let failed = |cause| WriteError::file(path, cause);
-        let (mut new, special) = Self::begin(path, existing)?;
-        if let Some(file) = special {
-            return Ok((file, new));
-        }
-        let part = part_of(path);
-        if existing == Existing::Replace {
-            remove(&part).map_err(failed)?;
-        }
-        // Never follows an existing link.
-        let file = File::create_new(&part).map_err(|cause| match cause.kind() {
-            io::ErrorKind::AlreadyExists => WriteError::Part { path: part.clone() },
-            _ => failed(cause),
-        })?;
-        new.part = Some(part);
-        Ok((file, new))
-    }
-
-    /// As [`NewFile::create`], for a recording: the part is locked, and has another name where that of
-    /// the file is taken.
-    ///
-    /// # Errors
-    /// As [`NewFile::create`].
-    pub fn create_recording(path: &Path, existing: Existing) -> Result<(File, Self), WriteError> {
-        let (mut new, special) = Self::begin(path, existing)?;
-        if let Some(file) = special {
-            return Ok((file, new));
-        }
-        let (part, file) = parts::create(path).map_err(|cause| WriteError::file(path, cause))?;
-        new.part = Some(part);
-        Ok((file, new))
-    }
-
-    /// A file without a part so far; a pipe or a device is opened.
-    fn begin(path: &Path, existing: Existing) -> Result<(Self, Option<File>), WriteError> {
         check(path, existing)?;
-        let failed = |cause| WriteError::file(path, cause);
-        let new = Self {
+        let failed = |cause: io::Error| match cause.kind() {
+            io::ErrorKind::ResourceBusy => WriteError::Busy {
+                path: path.to_owned(),
+            },
+            _ => WriteError::file(path, cause),
+        };
+        let mut new = Self {
             path: path.to_owned(),
             part: None,
             existing,
@@ -163,12 +128,14 @@ impl NewFile {
         };
         if is_special(path) {
             let file = File::options().append(true).open(path).map_err(failed)?;
-            return Ok((new, Some(file)));
+            return Ok((file, new));
         }
         if path.is_dir() {
             return Err(failed(io::ErrorKind::IsADirectory.into()));
         }
-        Ok((new, None))
+        let (part, file) = parts::create(path).map_err(failed)?;
+        new.part = Some(part);
+        Ok((file, new))
     }
 
     /// Renames the file; all data must have been written.
@@ -395,13 +362,10 @@ mod tests {
         let (mut file, new) = NewFile::create(&path, Existing::Keep).unwrap();
         file.write_all(b"one").unwrap();
         assert_eq!(names(&folder), ["a.yaml.part"]);
-        let second = NewFile::create(&path, Existing::Keep)
-            .unwrap_err()
-            .to_string();
-        assert!(
-            second.contains("a.yaml.part exists") && second.contains("--force"),
-            "{second}"
-        );
+        for existing in [Existing::Keep, Existing::Replace] {
+            let second = NewFile::create(&path, existing).unwrap_err().to_string();
+            assert!(second.contains("another process writes"), "{second}");
+        }
         new.commit().unwrap();
         assert_eq!(
             (names(&folder), fs::read(&path).unwrap()),
@@ -428,7 +392,10 @@ mod tests {
         write(&path, b"two", Existing::Replace).unwrap();
         assert_eq!(
             (names(&folder), fs::read(&path).unwrap()),
-            (vec!["a.yaml".to_owned()], b"two".to_vec())
+            (
+                vec!["a.yaml".to_owned(), "a.yaml.part".to_owned()],
+                b"two".to_vec()
+            )
         );
     }
 

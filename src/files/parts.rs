@@ -1,5 +1,5 @@
-//! Parts of recordings. A file is `NAME.part` while it is recorded, and locked, so that a part
-//! without a lock is one that a killed recording left. Nothing here replaces a file, or deletes one
+//! Parts of files under way. A file is `NAME.part` while it is written, and locked, so that a part
+//! without a lock is one that a killed program left. Nothing here replaces a file, or deletes one
 //! that has a byte in it.
 
 use std::fs::{self, File, TryLockError};
@@ -10,12 +10,9 @@ use std::path::{Path, PathBuf};
 use super::output::part_of;
 use crate::text::count_of;
 
-/// Most parts of one name.
-const MOST: u32 = 20;
-
 /// What became of a part that a killed recording left.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum LeftBehind {
+pub enum Recovery {
     /// It can be read as it is, and has a name of its own.
     Named {
         /// Its name.
@@ -27,9 +24,10 @@ pub enum LeftBehind {
         path: PathBuf,
         /// Messages in it.
         messages: u64,
-        /// How many damaged places were left out, and where the damaged file is now; `None` if it
-        /// was only cut.
-        damaged: Option<(u64, PathBuf)>,
+        /// How many damaged places were left out.
+        damaged_places: u64,
+        /// Where the file is that was mended; `None` if it was only cut, and is gone.
+        original: Option<PathBuf>,
     },
     /// It stays as it is.
     Untouched {
@@ -40,7 +38,17 @@ pub enum LeftBehind {
     },
 }
 
-impl std::fmt::Display for LeftBehind {
+impl Recovery {
+    /// How much it matters, for a message: `note` or `warning`.
+    pub fn severity(&self) -> &'static str {
+        match self {
+            Self::Named { .. } | Self::Mended { original: None, .. } => "note",
+            Self::Mended { .. } | Self::Untouched { .. } => "warning",
+        }
+    }
+}
+
+impl std::fmt::Display for Recovery {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Named { path } => {
@@ -50,18 +58,22 @@ impl std::fmt::Display for LeftBehind {
             Self::Mended {
                 path,
                 messages,
-                damaged,
+                damaged_places,
+                original,
             } => {
                 let (path, messages) = (path.display(), count_of(*messages, "message"));
                 write!(
                     f,
                     "{path}: mended, as its recording did not come to its end; it has {messages}"
                 )?;
-                let Some((places, damaged)) = damaged else {
-                    return Ok(());
-                };
-                let (places, damaged) = (count_of(*places, "damaged place"), damaged.display());
-                write!(f, "; {places} left out; the damaged file is {damaged} now")
+                if *damaged_places > 0 {
+                    let places = count_of(*damaged_places, "damaged place");
+                    write!(f, "; {places} left out")?;
+                }
+                match original {
+                    Some(original) => write!(f, "; the original is {}", original.display()),
+                    None => Ok(()),
+                }
             }
             Self::Untouched { part, why } => {
                 let part = part.display();
@@ -71,101 +83,127 @@ impl std::fmt::Display for LeftBehind {
     }
 }
 
-/// A recording writes this part.
+/// Another process writes this part.
 #[derive(Debug)]
 pub struct Busy(pub PathBuf);
 
 /// Makes the part of a file, under the first of its names that is free, and locks it.
 ///
 /// # Errors
-/// What the system says; [`io::ErrorKind::AlreadyExists`] if no name is free.
+/// What the system says; [`io::ErrorKind::ResourceBusy`] if another process writes a part of this
+/// file.
 pub fn create(path: &Path) -> io::Result<(PathBuf, File)> {
-    for number in 1..=MOST {
-        let part = numbered(part_of(path), number);
+    let mut number = 1;
+    loop {
+        let part = with_number(part_of(path), number);
         // Never follows an existing link.
         match File::create_new(&part) {
-            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
+                if open(&part).is_ok_and(|file| is_being_written(&file)) {
+                    return Err(io::ErrorKind::ResourceBusy.into());
+                }
+                number += 1;
+            }
             Err(error) => return Err(error),
-            // Another recording that begins may have taken it for one that was left, or removed it.
-            Ok(file) if is_being_written(&file) || !is_named(&file, &part) => {}
+            // Another process that begins may have taken it for one that was left, or removed it.
+            Ok(file) if is_being_written(&file) || !is_named(&file, &part) => {
+                return Err(io::ErrorKind::ResourceBusy.into());
+            }
             Ok(file) => return Ok((part, file)),
         }
     }
-    Err(io::ErrorKind::AlreadyExists.into())
 }
 
-/// Has `recover` look after each part of a file that a killed recording left; empty ones are
-/// removed. Gives what became of the others.
+/// Has `settle` see to each part of a file that a killed recording left, and `tell` say what became
+/// of it. Empty ones are removed.
 ///
 /// # Errors
 /// [`Busy`].
 pub fn recover(
     path: &Path,
-    recover: fn(part: &Path, path: &Path) -> io::Result<LeftBehind>,
-) -> Result<Vec<LeftBehind>, Busy> {
-    let mut left = Vec::new();
-    for number in 1..=MOST {
-        let part = numbered(part_of(path), number);
-        let Ok(found) = part.symlink_metadata() else {
-            continue;
-        };
-        let recovered = if found.is_file() {
-            // The lock is held until the part is looked after.
-            let opened = File::options()
-                .read(true)
-                .custom_flags(libc::O_NOFOLLOW | libc::O_NONBLOCK)
-                .open(&part);
-            match opened {
-                Ok(file) if is_being_written(&file) => return Err(Busy(part)),
-                Ok(file) if !is_named(&file, &part) => continue,
-                Ok(file) if file.metadata().is_ok_and(|found| found.len() == 0) => {
+    mut settle: impl FnMut(File, &Path) -> io::Result<Recovery>,
+    mut tell: impl FnMut(&Recovery),
+) -> Result<(), Busy> {
+    for part in parts_of(path) {
+        let recovery = match open(&part) {
+            // The lock lasts as long as the file is open.
+            Ok(file) => match file.try_lock() {
+                Err(TryLockError::WouldBlock) => return Err(Busy(part)),
+                Err(TryLockError::Error(cause)) => Err(cause),
+                Ok(()) if !is_named(&file, &part) => continue,
+                Ok(()) if file.metadata().is_ok_and(|found| found.len() == 0) => {
                     // If it cannot be removed, the new part has another name.
                     let _ = fs::remove_file(&part);
                     continue;
                 }
-                Ok(_locked) => recover(&part, path),
-                Err(error) => Err(error),
-            }
-        } else {
-            Err(io::Error::other("it is no file"))
+                Ok(()) => settle(file, &part),
+            },
+            Err(cause) => Err(cause),
         };
-        left.push(recovered.unwrap_or_else(|why| LeftBehind::Untouched {
+        let recovery = recovery.unwrap_or_else(|cause| Recovery::Untouched {
+            why: cause.to_string(),
             part,
-            why: why.to_string(),
-        }));
+        });
+        tell(&recovery);
     }
-    Ok(left)
+    Ok(())
 }
 
-/// Gives a part a name of its own: `NAME-recovered`, `NAME-recovered-2`, ..., before the ending.
-///
-/// # Errors
-/// As [`give_free_name`].
-pub fn name_recovered(part: &Path, path: &Path, ending: &str) -> io::Result<PathBuf> {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let stem = name.strip_suffix(ending).unwrap_or(&name);
-    give_free_name(
-        part,
-        &path.with_file_name(format!("{stem}-recovered")),
-        ending,
-    )
+/// The parts of a file that there are, the first one first.
+fn parts_of(path: &Path) -> Vec<PathBuf> {
+    let first = part_of(path);
+    let name = first.file_name().unwrap_or_default().to_string_lossy();
+    let entries = fs::read_dir(folder_of(path))
+        .into_iter()
+        .flatten()
+        .flatten();
+    let mut numbers: Vec<u32> = entries
+        .filter_map(|entry| number_of(&entry.file_name().to_string_lossy(), &name))
+        .collect();
+    numbers.sort_unstable();
+    numbers
+        .into_iter()
+        .map(|number| with_number(first.clone(), number))
+        .collect()
+}
+
+/// The number of a name, of which `first` is the first.
+fn number_of(name: &str, first: &str) -> Option<u32> {
+    match name.strip_prefix(first)? {
+        "" => Some(1),
+        rest => rest.strip_prefix('-')?.parse().ok(),
+    }
+}
+
+/// Opens a file to lock and read it. Neither follows a link nor waits for a pipe.
+fn open(path: &Path) -> io::Result<File> {
+    // Some network file systems lock only files that are open for writing.
+    let mut options = File::options();
+    options.read(true).write(true);
+    let file = options
+        .custom_flags(libc::O_NOFOLLOW | libc::O_NONBLOCK)
+        .open(path)?;
+    match file.metadata()?.is_file() {
+        true => Ok(file),
+        false => Err(io::Error::other("it is no file")),
+    }
 }
 
 /// Gives a file the first name that is free: the stem and the ending, `-2`, `-3`, ... between them.
 ///
 /// # Errors
-/// What the system says; [`io::ErrorKind::AlreadyExists`] if no name is free.
+/// What the system says.
 pub fn give_free_name(from: &Path, stem: &Path, ending: &str) -> io::Result<PathBuf> {
-    for number in 1..=MOST {
-        let mut name = numbered(stem.to_owned(), number).into_os_string();
+    let mut number = 1;
+    loop {
+        let mut name = with_number(stem.to_owned(), number).into_os_string();
         name.push(ending);
         let name = PathBuf::from(name);
         match rename_to_free(from, &name) {
-            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => number += 1,
             renamed => return renamed.map(|()| name),
         }
     }
-    Err(io::ErrorKind::AlreadyExists.into())
 }
 
 /// Renames a file, and never replaces one.
@@ -174,16 +212,19 @@ pub fn give_free_name(from: &Path, stem: &Path, ending: &str) -> io::Result<Path
 /// What the system says; [`io::ErrorKind::AlreadyExists`] if the name is not free.
 pub fn rename_to_free(from: &Path, to: &Path) -> io::Result<()> {
     match fs::hard_link(from, to) {
-        Ok(()) => fs::remove_file(from),
-        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Err(error),
-        // A file system without links, such as FAT.
-        Err(_) if to.symlink_metadata().is_ok() => Err(io::ErrorKind::AlreadyExists.into()),
-        Err(_) => fs::rename(from, to),
+        Ok(()) => return fs::remove_file(from),
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => return Err(error),
+        // A file system without links, such as FAT: an empty file of ours takes the name first.
+        Err(_) => drop(File::create_new(to)?),
     }
+    fs::rename(from, to).inspect_err(|_| {
+        // The first error is the one to report.
+        let _ = fs::remove_file(to);
+    })
 }
 
-/// Whether a recording of any process writes this file; if not, it is locked until it is closed. On
-/// a file system without locks, always `false`.
+/// Whether another process writes this file; if not, it is locked until it is closed. On a file
+/// system without locks, always `false`.
 pub fn is_being_written(file: &File) -> bool {
     matches!(file.try_lock(), Err(TryLockError::WouldBlock))
 }
@@ -196,8 +237,27 @@ pub fn is_named(file: &File, path: &Path) -> bool {
     opened.dev() == named.dev() && opened.ino() == named.ino()
 }
 
+/// Syncs the names in the folder of a file, if the system can sync folders.
+pub fn sync_folder_of(path: &Path) {
+    let _ = File::open(folder_of(path)).and_then(|folder| folder.sync_all());
+}
+
+fn folder_of(path: &Path) -> &Path {
+    let folder = path.parent();
+    folder
+        .filter(|folder| !folder.as_os_str().is_empty())
+        .unwrap_or(Path::new("."))
+}
+
+/// `roof-recovered` for `roof.mcap` and its ending.
+pub fn recovered_stem(path: &Path, ending: &str) -> PathBuf {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let stem = name.strip_suffix(ending).unwrap_or(&name);
+    path.with_file_name(format!("{stem}-recovered"))
+}
+
 /// `NAME` for 1, `NAME-2` for 2.
-fn numbered(path: PathBuf, number: u32) -> PathBuf {
+fn with_number(path: PathBuf, number: u32) -> PathBuf {
     let mut name = path.into_os_string();
     if number > 1 {
         name.push(format!("-{number}"));

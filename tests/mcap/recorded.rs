@@ -117,7 +117,7 @@ fn a_killed_recording_is_mended() {
     let mut second = record(&setup, &file, &[]);
     assert!(!second.wait());
     assert!(
-        said(&setup).contains("another recording writes"),
+        said(&setup).contains("another process writes"),
         "{}",
         said(&setup)
     );

@@ -1,6 +1,8 @@
 //! Records one behind another, some of them in chunks that may be compressed: what MCAP and ROS 1
 //! bags have in common.
 
+use std::io::Cursor;
+
 use super::mcap::ChunkHeader;
 use crate::capture::error::{Damage, Place, Stop};
 use crate::capture::input::{Input, SharedInput};
@@ -83,18 +85,24 @@ impl Chunks {
         Ok(())
     }
 
-    /// The next bytes are the body of an MCAP chunk, `len` in all.
+    /// The next bytes are the body of an MCAP chunk, `len` in all. Where the chunk has a check sum,
+    /// no record of it is read before that is right.
     pub(super) fn enter_mcap(&mut self, len: u64) -> Result<(), Stop> {
-        let entered = ChunkHeader::read(&mut self.file, len).and_then(|header| {
-            let end = self
-                .file
-                .lock()
-                .offset()
-                .saturating_add(header.compressed_len);
-            let records = header.records(&self.file)?;
-            Ok(Chunk { records, end })
-        });
-        self.chunk = Some(entered.map_err(|stop| of_file(&self.file, stop))?);
+        let header = ChunkHeader::read(&mut self.file, len);
+        let header = header.map_err(|stop| of_file(&self.file, stop))?;
+        if !header.has_check_sum() {
+            return self.enter(&header.compression, header.compressed_len);
+        }
+        let end = self
+            .file
+            .lock()
+            .offset()
+            .saturating_add(header.compressed_len);
+        let records = header
+            .load(&self.file)
+            .map_err(|stop| of_chunk(&self.file, end, stop))?;
+        let records = Input::over(Box::new(Cursor::new(records)), None);
+        self.chunk = Some(Chunk { records, end });
         Ok(())
     }
 
@@ -103,12 +111,15 @@ impl Chunks {
         let Some(chunk) = &mut self.chunk else {
             return read(&mut self.file.lock());
         };
-        read(&mut chunk.records).map_err(|stop| match stop {
-            Stop::Damaged(Damage::Cut) if self.file.lock().offset() >= chunk.end => {
-                Damage::ChunkEnd.into()
-            }
-            other => of_file(&self.file, other),
-        })
+        read(&mut chunk.records).map_err(|stop| of_chunk(&self.file, chunk.end, stop))
+    }
+}
+
+/// What an error of reading a chunk means that ends there in the file.
+fn of_chunk(file: &SharedInput, end: u64, stop: Stop) -> Stop {
+    match stop {
+        Stop::Damaged(Damage::Cut) if file.lock().offset() >= end => Damage::ChunkEnd.into(),
+        other => of_file(file, other),
     }
 }
 

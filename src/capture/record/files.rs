@@ -13,7 +13,7 @@ use super::file::{CaptureFile, Format};
 use crate::capture::CaptureReader;
 use crate::capture::write::{Addressed, FILE_HEADER_LEN, record_len};
 use crate::files::output::{is_special, numbered};
-use crate::files::parts::{self, LeftBehind, is_being_written, is_named};
+use crate::files::parts::{self, Recovery, is_being_written, is_named, sync_folder_of};
 
 /// Interval between syncs: a power failure loses at most this much.
 const SYNC_EVERY: Duration = Duration::from_secs(1);
@@ -58,7 +58,7 @@ pub(super) struct Files {
     /// The file to replace when this one is complete.
     replaces: Option<PathBuf>,
     /// What became of the parts that killed recordings left.
-    left_behind: Vec<LeftBehind>,
+    recoveries: Vec<Recovery>,
     /// Of the file: its length and the arrival of its first datagram.
     len: u64,
     begun_ns: Option<i64>,
@@ -97,7 +97,7 @@ impl Files {
             rotation: Rotation::default(),
             file,
             replaces: None,
-            left_behind: Vec::new(),
+            recoveries: Vec::new(),
             len: FILE_HEADER_LEN,
             begun_ns: None,
             next_number: 0,
@@ -126,14 +126,19 @@ impl Files {
             return Err(RecordError::of(path)(io::ErrorKind::IsADirectory.into()));
         }
         drop(unwritten(path)?);
-        let left_behind = parts::recover(path, recover)
-            .map_err(|parts::Busy(path)| RecordError::Busy { path })?;
+        let mut recoveries = Vec::new();
+        let recovered = parts::recover(
+            path,
+            |file, part| name_recovered(file, part, path, format),
+            |one| recoveries.push(one.clone()),
+        );
+        recovered.map_err(|parts::Busy(path)| RecordError::Busy { path })?;
         let (part, file) = parts::create(path).map_err(RecordError::of(path))?;
         let file = CaptureFile::over(file, format).map_err(RecordError::of(&part))?;
         let file = begun(&part, file)?;
         Ok(Self {
             replaces: Some(path.to_owned()),
-            left_behind,
+            recoveries,
             ..Self::of(part, file, format)
         })
     }
@@ -168,8 +173,8 @@ impl Files {
     }
 
     /// What became of the parts that killed recordings left.
-    pub(super) fn left_behind(&self) -> &[LeftBehind] {
-        &self.left_behind
+    pub(super) fn recoveries(&self) -> &[Recovery] {
+        &self.recoveries
     }
 
     /// Counts of what was written so far, to the disk or to a buffer.
@@ -290,15 +295,6 @@ fn close(file: CaptureFile, path: &Path) -> Result<Option<File>, RecordError> {
     file.finish_and_sync().map_err(RecordError::of(path))
 }
 
-/// Syncs the name of a new file, if the system can sync folders.
-fn sync_folder_of(path: &Path) {
-    let folder = path
-        .parent()
-        .filter(|parent| !parent.as_os_str().is_empty())
-        .unwrap_or(Path::new("."));
-    let _ = File::open(folder).and_then(|folder| folder.sync_all());
-}
-
 /// Opens the next file; in a sequence, the one with the next free number.
 fn open(
     path: &Path,
@@ -338,14 +334,15 @@ fn begun(path: &Path, mut file: CaptureFile) -> Result<CaptureFile, RecordError>
 }
 
 /// Gives what a killed recording left a name of its own: a capture that is cut can be read.
-fn recover(part: &Path, path: &Path) -> io::Result<LeftBehind> {
-    let is_capture = CaptureReader::open(part).is_ok();
-    if !is_capture {
+fn name_recovered(file: File, part: &Path, path: &Path, format: Format) -> io::Result<Recovery> {
+    let name = part.display().to_string();
+    // A copy keeps the lock.
+    if CaptureReader::new(&name, Box::new(file.try_clone()?)).is_err() {
         return Err(io::Error::other("it is no capture"));
     }
-    let ending = Format::of(path).map_or("", Format::ending);
-    let path = parts::name_recovered(part, path, ending)?;
-    Ok(LeftBehind::Named { path })
+    let stem = parts::recovered_stem(path, format.ending());
+    let path = parts::give_free_name(part, &stem, format.ending())?;
+    Ok(Recovery::Named { path })
 }
 
 /// Whether it is neither a pipe or a device nor a link to one.

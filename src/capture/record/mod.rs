@@ -31,7 +31,7 @@ pub use self::files::{Rotation, Written, open_special};
 use self::ring::{Consumer, Producer, ring};
 use super::write::Addressed;
 use crate::files::output::Existing;
-use crate::files::parts::LeftBehind;
+use crate::files::parts::Recovery;
 
 /// Capacity of a feed, bytes: 4.7 s of an HDL-64E S3 with two returns, 1.4 s of such a VLS-128. The memory is taken only when it is first
 /// used.
@@ -84,7 +84,7 @@ pub struct RecordCounts {
 pub struct Recorder {
     shared: Arc<Shared>,
     path: PathBuf,
-    left_behind: Vec<LeftBehind>,
+    recoveries: Vec<Recovery>,
     /// `None` when it was joined.
     writer: Option<JoinHandle<Written>>,
 }
@@ -160,7 +160,7 @@ impl Recorder {
             ..Shared::default()
         });
         let path = files.written().first.clone();
-        let left_behind = files.left_behind().to_vec();
+        let recoveries = files.recoveries().to_vec();
         let writer = Writer {
             shared: Arc::clone(&shared),
             files,
@@ -175,7 +175,7 @@ impl Recorder {
         Ok(Self {
             shared,
             path,
-            left_behind,
+            recoveries,
             writer: Some(thread),
         })
     }
@@ -197,8 +197,8 @@ impl Recorder {
     }
 
     /// What became of files that killed recordings of the same name left. For people.
-    pub fn left_behind(&self) -> &[LeftBehind] {
-        &self.left_behind
+    pub fn recoveries(&self) -> &[Recovery] {
+        &self.recoveries
     }
 
     /// How far it is.

@@ -287,47 +287,59 @@ fn a_folder_is_not_replaced() {
 #[test]
 fn a_part_that_was_left_is_kept_and_stops_no_recording() {
     for ending in [".pcap", ".pcap.gz"] {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join(format!("x{ending}"));
-        let recorder = Recorder::start(replacing(&path)).unwrap();
-        let mut feed = recorder.feed();
-        let payload = fastrand::Rng::with_seed(3).u64(..).to_le_bytes();
-        for number in 0..500 {
-            assert!(feed.put(&addressed(SECOND_NS + number, 2368, &payload.repeat(150))));
-        }
-        recorder.finish().1.unwrap();
-        let good = std::fs::read(&path).unwrap();
-        std::fs::remove_file(&path).unwrap();
+        let good = capture(ending);
         let mut random = fastrand::Rng::with_seed(4);
         let noise: Vec<u8> = std::iter::repeat_with(|| random.u8(..))
             .take(4096)
             .collect();
-        let flipped = |bit: usize| {
-            let mut damaged = good.clone();
-            damaged[bit / 8] ^= 1 << (bit % 8);
-            damaged
-        };
-        let mut middle = good.clone();
+        for bit in (0..4096).chain((0..500).map(|_| random.usize(0..8 * good.len()))) {
+            let mut left = good.clone();
+            left[bit / 8] ^= 1 << (bit % 8);
+            record_beside(ending, &left);
+        }
+        for cut in [1, 3, 10, 23, 24, 25, 300, good.len() / 2, good.len() - 1] {
+            record_beside(ending, &good[..cut]);
+        }
         let half = good.len() / 2;
-        middle.truncate(half);
-        middle.extend(noise.iter().chain(&good[(half + 4096).min(good.len())..]));
-        let bits = (0..400).chain((0..60).map(|_| random.usize(0..8 * good.len())));
-        let cuts = [1, 3, 10, 23, 24, 25, 300, good.len() - 1];
-        let damaged = bits
-            .map(flipped)
-            .chain(cuts.map(|cut| good[..cut].to_vec()));
-        let behind = [&good[..], &noise].concat();
-        for left in damaged.chain([middle, behind, b"Dear Sir,".to_vec()]) {
-            let folder = tempfile::tempdir().unwrap();
-            let path = folder.path().join(format!("x{ending}"));
-            std::fs::write(folder.path().join(format!("x{ending}.part")), &left).unwrap();
-            let recorder = Recorder::start(replacing(&path)).unwrap();
-            assert_eq!(recorder.left_behind().len(), 1);
-            record_one(&recorder);
-            assert!(recorder.finish().1.is_ok() && read(&path).len() == 1);
-            let files = std::fs::read_dir(folder.path()).unwrap();
-            let mut files = files.map(|file| std::fs::read(file.unwrap().path()).unwrap());
-            assert!(files.any(|bytes| bytes == left));
+        record_beside(ending, &[&good[..half], &noise, &good[half..]].concat());
+        record_beside(ending, &[&good, &noise[..]].concat());
+        record_beside(ending, b"Dear Sir,");
+        // The length of the first record, behind the head of the file and two words of time.
+        for bits in 0..32 {
+            let mut left = good.clone();
+            left[32..36].copy_from_slice(&(1_u32 << bits).to_le_bytes());
+            record_beside(ending, &left);
         }
     }
+}
+
+/// A recording of some datagrams.
+fn capture(ending: &str) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(format!("x{ending}"));
+    let recorder = Recorder::start(RecorderConfig::new(&path)).unwrap();
+    let mut feed = recorder.feed();
+    let mut random = fastrand::Rng::with_seed(3);
+    for number in 0..20 {
+        let payload: Vec<u8> = std::iter::repeat_with(|| random.u8(..))
+            .take(1206)
+            .collect();
+        assert!(feed.put(&addressed(SECOND_NS + number, 2368, &payload)));
+    }
+    recorder.finish().1.unwrap();
+    std::fs::read(&path).unwrap()
+}
+
+/// Leaves these bytes as the part of a killed recording, records, and looks for them.
+fn record_beside(ending: &str, left: &[u8]) {
+    let folder = tempfile::tempdir_in("/dev/shm").unwrap();
+    let path = folder.path().join(format!("x{ending}"));
+    std::fs::write(folder.path().join(format!("x{ending}.part")), left).unwrap();
+    let recorder = Recorder::start(replacing(&path)).unwrap();
+    assert_eq!(recorder.recoveries().len(), 1);
+    record_one(&recorder);
+    assert!(recorder.finish().1.is_ok() && read(&path).len() == 1);
+    let files = std::fs::read_dir(folder.path()).unwrap();
+    let mut files = files.map(|file| std::fs::read(file.unwrap().path()).unwrap());
+    assert!(files.any(|bytes| bytes == left));
 }

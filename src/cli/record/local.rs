@@ -36,8 +36,8 @@ pub fn record(
         .iter()
         .map(|source| source.local_addr().to_string())
         .collect();
-    for left in recorder.left_behind() {
-        complain("note", left);
+    for recovery in recorder.recoveries() {
+        complain(recovery.severity(), recovery);
     }
     announce(&places.join(", "), recorder.path());
     let inputs = sources.into_iter().map(|source| Input {

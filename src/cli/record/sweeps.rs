@@ -2,6 +2,7 @@
 
 use std::io::{self, Write};
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::thread;
@@ -11,8 +12,8 @@ use super::args::Args;
 use super::live::{TICK, announce, live_line};
 use crate::cli::{CliError, complain};
 use crate::export::WriteError;
-use crate::export::mcap::{McapFiles, SweepMessages, WrittenSweeps};
-use crate::files::parts::LeftBehind;
+use crate::export::mcap::{McapFiles, RecoveryWatch, SweepMessages, WrittenSweeps};
+use crate::files::parts::Recovery;
 use crate::text::{count_of, grouped};
 use sweepd_client::client::Client;
 use sweepd_client::publish::Domain;
@@ -25,14 +26,18 @@ const LOOK_EVERY: Duration = Duration::from_millis(200);
 const SILENCE: Duration = Duration::from_secs(2);
 
 /// Records a sensor until `over` is set, the time is up, or the disk fails.
-pub fn record(args: &Args, sensor: &str, path: &Path, over: &AtomicBool) -> Result<(), CliError> {
+pub fn record(
+    args: &Args,
+    sensor: &str,
+    path: &Path,
+    over: &Arc<AtomicBool>,
+) -> Result<(), CliError> {
     let client = Client::within(&Domain::at_or_default(args.root.as_deref()), sensor)?;
-    let files = McapFiles::create(
-        path,
-        args.rotation(),
-        args.force.existing(),
-        note_left_behind,
-    )?;
+    let watch = RecoveryWatch {
+        over: Arc::clone(over),
+        tell,
+    };
+    let files = McapFiles::create(path, args.rotation(), args.force.existing(), watch)?;
     announce(&format!("sweeps of {sensor}"), &files.written().first);
     let begun = Instant::now();
     let bytes = &AtomicU64::new(0);
@@ -73,8 +78,8 @@ pub fn record(args: &Args, sensor: &str, path: &Path, over: &AtomicBool) -> Resu
     Ok(())
 }
 
-fn note_left_behind(left: &LeftBehind) {
-    complain("note", left);
+fn tell(recovery: &Recovery) {
+    complain(recovery.severity(), recovery);
 }
 
 /// What came.

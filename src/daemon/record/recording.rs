@@ -110,8 +110,8 @@ impl Target {
             accept,
             counts,
         })?;
-        for left in recorder.left_behind() {
-            tracing::warn!("{left}");
+        for recovery in recorder.recoveries() {
+            warn!("{recovery}");
         }
         Ok(recorder)
     }

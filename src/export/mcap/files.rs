@@ -3,12 +3,15 @@
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
-use super::{McapWriter, SweepMessages, mend_file};
+use super::mend::mend_part;
+use super::{McapWriter, SweepMessages};
 use crate::capture::record::Rotation;
-use crate::files::output::{Existing, NewFile, WriteError, check, is_special, numbered};
-use crate::files::parts::{self, LeftBehind, rename_to_free};
+use crate::files::output::{Existing, NewFile, WriteError, is_special, numbered, part_of};
+use crate::files::parts::{self, Recovery};
 
 /// The ending of their names.
 const ENDING: &str = ".mcap";
@@ -30,6 +33,14 @@ pub struct WrittenSweeps {
     pub files: u64,
 }
 
+/// Who is told what became of the parts that killed recordings left.
+pub struct RecoveryWatch {
+    /// Ends the mending, which may take a while.
+    pub over: Arc<AtomicBool>,
+    /// Is called for each part.
+    pub tell: fn(&Recovery),
+}
+
 /// Files under way. A file is `NAME.mcap.part` until it has its end. Where the disk fails it stays
 /// so, whole up to its last second.
 pub struct McapFiles {
@@ -39,7 +50,7 @@ pub struct McapFiles {
     next_number: u64,
     file: OpenFile,
     written: WrittenSweeps,
-    on_left_behind: fn(&LeftBehind),
+    watch: RecoveryWatch,
 }
 
 struct OpenFile {
@@ -55,8 +66,7 @@ struct OpenFile {
 }
 
 impl McapFiles {
-    /// Begins the first file. What a killed recording left in the place of a file is mended first,
-    /// and `on_left_behind` is told.
+    /// Begins the first file. What a killed recording left in the place of a file is mended first.
     ///
     /// # Errors
     /// [`WriteError`]: a file exists or is being written, or cannot be written.
@@ -64,11 +74,11 @@ impl McapFiles {
         path: &Path,
         rotation: Rotation,
         existing: Existing,
-        on_left_behind: fn(&LeftBehind),
+        watch: RecoveryWatch,
     ) -> Result<Self, WriteError> {
         check_name(path)?;
         let mut next_number = 0;
-        let file = open(path, rotation, existing, &mut next_number, on_left_behind)?;
+        let file = open(path, rotation, existing, &mut next_number, &watch)?;
         Ok(Self {
             path: path.to_owned(),
             existing,
@@ -81,7 +91,7 @@ impl McapFiles {
                 ..WrittenSweeps::default()
             },
             file,
-            on_left_behind,
+            watch,
         })
     }
 
@@ -149,7 +159,7 @@ impl McapFiles {
             self.rotation,
             self.existing,
             &mut self.next_number,
-            self.on_left_behind,
+            &self.watch,
         )?;
         self.written.last = next.path.clone();
         self.written.files += 1;
@@ -159,7 +169,7 @@ impl McapFiles {
 
 impl OpenFile {
     fn begin(path: PathBuf, existing: Existing) -> Result<Self, WriteError> {
-        let (file, mut new) = NewFile::create_recording(&path, existing)?;
+        let (file, mut new) = NewFile::create(&path, existing)?;
         let failed = |cause| WriteError::file(&path, cause);
         let disk = file.try_clone().map_err(failed)?;
         let mut writer = McapWriter::new(BufWriter::new(file)).map_err(failed)?;
@@ -223,59 +233,42 @@ fn open(
     rotation: Rotation,
     existing: Existing,
     next_number: &mut u64,
-    on_left_behind: fn(&LeftBehind),
+    watch: &RecoveryWatch,
 ) -> Result<OpenFile, WriteError> {
     if !rotation.is_wanted() {
-        check(path, existing)?;
-        recover(path, mend_beside, on_left_behind)?;
+        recover(path, &parts::recovered_stem(path, ENDING), watch)?;
         return OpenFile::begin(path.to_owned(), existing);
     }
     loop {
         let path = numbered(path, ENDING, *next_number);
         *next_number += 1;
-        if path.symlink_metadata().is_ok() {
-            continue;
-        }
-        match recover(&path, mend_in_place, on_left_behind) {
+        // A mended file of a sequence has its number.
+        match recover(&path, &path.with_extension(""), watch) {
             // Another recording of the same sequence writes it.
             Err(WriteError::Busy { .. }) => continue,
             other => other?,
         }
+        // A number whose part could not be mended stays its own.
+        if part_of(&path).symlink_metadata().is_ok() {
+            continue;
+        }
         match OpenFile::begin(path, existing) {
-            Err(WriteError::Exists { .. }) => {}
+            Err(WriteError::Exists { .. } | WriteError::Busy { .. }) => {}
             other => return other,
         }
     }
 }
 
-/// Looks after what killed recordings left in the place of a file. That it cannot be mended keeps no
+/// Mends what killed recordings left in the place of a file. That it cannot be mended keeps no
 /// recording from beginning.
-fn recover(
-    path: &Path,
-    mend: fn(part: &Path, path: &Path) -> io::Result<LeftBehind>,
-    on_left_behind: fn(&LeftBehind),
-) -> Result<(), WriteError> {
-    if is_special(path) {
+fn recover(path: &Path, stem: &Path, watch: &RecoveryWatch) -> Result<(), WriteError> {
+    if part_of(path).symlink_metadata().is_err() || is_special(path) {
         return Ok(());
     }
-    let left = parts::recover(path, mend);
-    for one in left.map_err(|parts::Busy(path)| WriteError::Busy { path })? {
-        on_left_behind(&one);
-    }
-    Ok(())
-}
-
-/// The mended file of a sequence has its number.
-fn mend_in_place(part: &Path, path: &Path) -> io::Result<LeftBehind> {
-    mend_file(part, path, |copy, path| {
-        rename_to_free(copy, path)?;
-        Ok(path.to_owned())
-    })
-}
-
-/// The name of a single file is for the recording that begins: the mended one has another.
-fn mend_beside(part: &Path, path: &Path) -> io::Result<LeftBehind> {
-    mend_file(part, path, |copy, path| {
-        parts::name_recovered(copy, path, ENDING)
-    })
+    let recovered = parts::recover(
+        path,
+        |file, part| mend_part(file, part, stem, &watch.over),
+        watch.tell,
+    );
+    recovered.map_err(|parts::Busy(path)| WriteError::Busy { path })
 }

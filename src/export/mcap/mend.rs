@@ -7,27 +7,30 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Cursor, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
+use mcap::McapError;
 use mcap::records::MessageHeader as RecordHeader;
 use mcap::write::NoSeek;
 
 use super::{LIBRARY, POINTS, TOPICS, io_error, options};
 use crate::capture::bag::mcap::{
-    CHANNEL, CHUNK, ChunkHeader, DATA_END, HEADER, MAGIC, MAX_LEN, MESSAGE, MESSAGE_INDEX, SCHEMA,
-    SUMMARY, split_bytes, split_text, split_u16, split_u32, split_u64,
+    CHANNEL, CHUNK, ChannelRecord, ChunkHeader, DATA_END, HEADER, MAGIC, MAX_LEN, MESSAGE,
+    MESSAGE_INDEX, SCHEMA, SUMMARY, SchemaRecord, split_bytes, split_text, split_u16, split_u32,
+    split_u64,
 };
 use crate::capture::error::{Damage, Stop};
 use crate::capture::input::{Input, SharedInput};
-use crate::files::parts::{self, LeftBehind};
+use crate::files::parts::{self, Recovery};
 use sweepd_messages::names;
 
-/// Bytes that are searched for a chunk before the rest counts as damaged: the recording that waits
-/// for this must begin.
+/// Bytes of damage that are searched for chunks, and unpacked in vain, before the rest is left out:
+/// the recording that waits for this must begin.
 const MOST_SEARCHED: u64 = 1 << 30;
 /// Bytes in memory while a chunk is searched for.
 const WINDOW: usize = 1 << 20;
-/// More than the bytes of a chunk's header.
-const OVERLAP: usize = 128;
+/// What is read to tell a record; a chunk's header is shorter.
+const RECORD_START: usize = 128;
 /// Opcode and length of a record.
 const RECORD_HEAD: usize = 9;
 /// Longest record other than chunks that a recording has.
@@ -42,79 +45,122 @@ pub struct Mended {
     pub messages: u64,
     /// Places with something that is not as it was written; 0 if the file was only cut.
     pub damaged_places: u64,
+    /// Bytes behind the last whole record.
+    pub cut_bytes: u64,
 }
 
-/// Copies all messages of whole chunks.
+/// Copies all messages of whole chunks, until it is `over`.
 ///
 /// # Errors
-/// [`io::ErrorKind::InvalidData`]: the file is no MCAP. What the disk says of the file or the copy.
-pub fn mend<W: Write>(damaged: impl Read + Seek, out: W) -> io::Result<(Mended, W)> {
+/// [`io::ErrorKind::InvalidData`]: the file is no MCAP. What the disk says of the file or the copy;
+/// [`io::ErrorKind::Interrupted`] if it was over before its end.
+pub fn mend<W: Write>(
+    damaged: impl Read + Seek,
+    out: W,
+    over: &AtomicBool,
+) -> io::Result<(Mended, W)> {
     let mut damaged = Damaged::open(damaged)?;
-    let mut copy = Copy {
+    let mut mended = MendedFile {
         writer: options().create(NoSeek::new(out)).map_err(io_error)?,
         is_ours: damaged.is_ours()?,
         channels: BTreeSet::new(),
-        mended: Mended::default(),
+        found: Mended::default(),
     };
     let mut end = MAGIC.len() as u64;
     while let Some(chunk) = damaged.next_chunk(end)? {
-        if damaged.others_end(end, chunk.start)? != chunk.start {
-            copy.mended.damaged_places += 1;
+        if over.load(Ordering::Relaxed) {
+            return Err(io::ErrorKind::Interrupted.into());
         }
-        copy.add(&chunk.records)?;
+        if damaged.others_end(end, chunk.start)? != chunk.start {
+            mended.found.damaged_places += 1;
+        }
+        mended.add(&chunk.records)?;
         end = chunk.end;
     }
-    if !damaged.is_only_cut(end)? {
-        copy.mended.damaged_places += 1;
+    let tail = damaged.others_end(end, damaged.len)?;
+    mended.found.cut_bytes = damaged.len - tail;
+    if !damaged.is_cut(tail)? {
+        mended.found.damaged_places += 1;
     }
-    copy.writer.finish().map_err(io_error)?;
-    let mut out = copy.writer.into_inner().into_inner();
+    mended.writer.finish().map_err(io_error)?;
+    let mut out = mended.writer.into_inner().into_inner();
     out.flush()?;
-    Ok((copy.mended, out))
+    Ok((mended.found, out))
 }
 
-/// Mends the part of a file under the name that `give_name` gives the copy. Then the part is removed if it was
-/// only cut, else it is kept beside the mended file as `NAME.damaged`.
+/// Mends a part under the first free name of this stem. Then the part is removed if it was only cut,
+/// else it is kept beside the mended file as `NAME.damaged`.
 ///
 /// # Errors
-/// As [`mend`]; a file in which nothing is whole. Then the part stays as it was.
-pub(super) fn mend_file(
+/// As [`mend`]; a file in which no chunk is whole. Then the part stays as it was.
+pub(super) fn mend_part(
+    file: File,
     part: &Path,
-    path: &Path,
-    give_name: fn(copy: &Path, path: &Path) -> io::Result<PathBuf>,
-) -> io::Result<LeftBehind> {
+    stem: &Path,
+    over: &AtomicBool,
+) -> io::Result<Recovery> {
     let mut copy = part.as_os_str().to_owned();
     copy.push(".mended");
-    let (copy, file) = parts::create(copy.as_ref())?;
-    let mended = mend_into(part, file).and_then(|mended| Ok((mended, give_name(&copy, path)?)));
-    if mended.is_err() {
-        // The first error is the one to report.
-        let _ = fs::remove_file(&copy);
-    }
-    let (mended, path) = mended?;
-    let damaged = if mended.damaged_places == 0 {
-        fs::remove_file(part)?;
-        None
-    } else {
-        let mut name = path.as_os_str().to_owned();
-        name.push(".damaged");
-        let name = parts::give_free_name(part, name.as_ref(), "")?;
-        Some((mended.damaged_places, name))
+    let copy = PathBuf::from(copy);
+    let (found, path) = match mend_into(&file, &copy, over) {
+        Ok(found) => (found, parts::give_free_name(&copy, stem, ".mcap")),
+        Err(cause) => return Err(cause),
     };
-    Ok(LeftBehind::Mended {
+    let path = path.inspect_err(|_| remove_quietly(&copy))?;
+    // The mended file is there, whatever happens now.
+    parts::sync_folder_of(&path);
+    let original = if found.damaged_places == 0 {
+        fs::remove_file(part).err().map(|_| part.to_owned())
+    } else {
+        let mut damaged = path.as_os_str().to_owned();
+        damaged.push(".damaged");
+        let named = parts::give_free_name(part, damaged.as_ref(), "");
+        Some(named.unwrap_or_else(|_| part.to_owned()))
+    };
+    Ok(Recovery::Mended {
         path,
-        messages: mended.messages,
-        damaged,
+        messages: found.messages,
+        damaged_places: found.damaged_places,
+        original,
     })
 }
 
-fn mend_into(part: &Path, copy: File) -> io::Result<Mended> {
-    let (mended, copy) = mend(File::open(part)?, BufWriter::new(copy))?;
-    if mended.messages == 0 && mended.damaged_places > 0 {
-        return Err(io::Error::other("nothing in it is whole"));
+/// Mends into a new file, which is there only if all went well.
+fn mend_into(part: &File, copy: &Path, over: &AtomicBool) -> io::Result<Mended> {
+    let file = create_copy(copy)?;
+    let mended = mend(part, BufWriter::new(file), over).and_then(|(mended, copy)| {
+        // A recording that was killed before its first chunk was whole may be of use to others.
+        if mended.messages == 0 && (mended.damaged_places > 0 || mended.cut_bytes > 0) {
+            return Err(io::Error::other("no chunk of it is whole"));
+        }
+        copy.get_ref().sync_data()?;
+        Ok(mended)
+    });
+    mended.inspect_err(|_| remove_quietly(copy))
+}
+
+/// Makes the file to mend into. One that a killed mender left is made anew: what it was mended from
+/// is still there.
+fn create_copy(copy: &Path) -> io::Result<File> {
+    match File::create_new(copy) {
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+        created => return created,
     }
-    copy.get_ref().sync_data()?;
-    Ok(mended)
+    let mut start = Vec::new();
+    File::open(copy)?
+        .take(MAGIC.len() as u64)
+        .read_to_end(&mut start)?;
+    if !MAGIC.starts_with(&start) {
+        let cause = format!("{} is in the way", copy.display());
+        return Err(io::Error::other(cause));
+    }
+    fs::remove_file(copy)?;
+    File::create_new(copy)
+}
+
+/// Removes a copy that is of no use; the first error is the one to report.
+fn remove_quietly(copy: &Path) {
+    let _ = fs::remove_file(copy);
 }
 
 /// A chunk whose check sum is right, with its place in the file.
@@ -128,12 +174,18 @@ struct Chunk {
 struct Damaged<R> {
     file: R,
     len: u64,
+    /// Bytes of damage that were searched so far.
+    searched: u64,
 }
 
 impl<R: Read + Seek> Damaged<R> {
     fn open(mut file: R) -> io::Result<Self> {
         let len = file.seek(SeekFrom::End(0))?;
-        let mut damaged = Self { file, len };
+        let mut damaged = Self {
+            file,
+            len,
+            searched: 0,
+        };
         if damaged.read_at(0, MAGIC.len())? != MAGIC {
             let cause = "it does not begin as an MCAP file does";
             return Err(io::Error::new(io::ErrorKind::InvalidData, cause));
@@ -159,36 +211,48 @@ impl<R: Read + Seek> Damaged<R> {
 
     /// The next chunk from a place on.
     fn next_chunk(&mut self, from: u64) -> io::Result<Option<Chunk>> {
-        let mut searched = 0;
         let mut place = from;
-        while place + (RECORD_HEAD as u64) < self.len && searched < MOST_SEARCHED {
+        while place < self.len && self.searched < MOST_SEARCHED {
             let window = self.read_at(place, WINDOW)?;
-            let mut after = &window[..];
-            while let Some(offset) = after.iter().position(|byte| *byte == CHUNK) {
-                after = &after[offset..];
-                let start = place + (window.len() - after.len()) as u64;
-                if let Some((header, body)) = self.chunk_header(start, after) {
-                    if let Some(records) = self.records(&header, body)? {
-                        let end = body + header.compressed_len;
-                        return Ok(Some(Chunk {
-                            start,
-                            end,
-                            records,
-                        }));
-                    }
-                    searched += header.compressed_len;
-                    if searched > MOST_SEARCHED {
-                        return Ok(None);
-                    }
+            let mut next = 0;
+            while let Some(offset) = window[next..].iter().position(|byte| *byte == CHUNK) {
+                let at = next + offset;
+                if let Some(chunk) = self.chunk(place + at as u64, &window[at..])? {
+                    self.searched += at as u64;
+                    return Ok(Some(chunk));
                 }
-                after = &after[1..];
+                next = at + 1;
             }
             // A header that begins at the end of the window is looked at again as a whole.
-            let step = (WINDOW - OVERLAP) as u64;
+            let step = (WINDOW - RECORD_START) as u64;
             place += step;
-            searched += step;
+            self.searched += step;
         }
         Ok(None)
+    }
+
+    /// The chunk that begins at a place, with these bytes, if it is whole.
+    fn chunk(&mut self, start: u64, bytes: &[u8]) -> io::Result<Option<Chunk>> {
+        let Some((header, place)) = self.chunk_header(start, bytes) else {
+            return Ok(None);
+        };
+        let cost = header.compressed_len + header.len();
+        if self.searched + cost > MOST_SEARCHED {
+            return Ok(None);
+        }
+        let compressed = self.read_at(place, header.compressed_len as usize)?;
+        let compressed = Input::over(Box::new(Cursor::new(compressed)), None);
+        match header.load(&SharedInput::new(compressed)) {
+            Ok(records) => Ok(Some(Chunk {
+                start,
+                end: place + header.compressed_len,
+                records,
+            })),
+            Err(_) => {
+                self.searched += cost;
+                Ok(None)
+            }
+        }
     }
 
     /// The header of a chunk that may begin with these bytes, and the place of its records.
@@ -201,17 +265,8 @@ impl<R: Read + Seek> Damaged<R> {
         let header = ChunkHeader::read(&mut body, body_len).ok()?;
         let place = start + (bytes.len() - body.len()) as u64;
         let fits = header.compressed_len <= (self.len - place).min(MAX_LEN);
-        (fits && header.has_check_sum()).then_some((header, place))
-    }
-
-    /// The records of a chunk, if its check sum is right.
-    fn records(&mut self, header: &ChunkHeader, place: u64) -> io::Result<Option<Vec<u8>>> {
-        let compressed = self.read_at(place, header.compressed_len as usize)?;
-        let compressed = Input::over(Box::new(Cursor::new(compressed)), None);
-        match header.records(&SharedInput::new(compressed)) {
-            Ok(records) => records.rest(MAX_LEN).map(Some),
-            Err(Stop::Damaged(_) | Stop::Read(_)) => Ok(None),
-        }
+        let is_checked = header.has_check_sum() && header.len() <= MAX_LEN;
+        (fits && is_checked).then_some((header, place))
     }
 
     /// Where the records other than chunks end that begin at a place; at most at `end`.
@@ -219,7 +274,7 @@ impl<R: Read + Seek> Damaged<R> {
         let mut place = from;
         let mut is_summary = false;
         for _ in 0..MOST_OTHERS {
-            let start = self.read_at(place, OVERLAP)?;
+            let start = self.read_at(place, RECORD_START)?;
             match other_len(&start, is_summary) {
                 Some(len) if len <= end.saturating_sub(place) => place += len,
                 _ => break,
@@ -229,11 +284,11 @@ impl<R: Read + Seek> Damaged<R> {
         Ok(place)
     }
 
-    /// Whether what is behind the last whole chunk is as it was written, up to where it was cut.
-    fn is_only_cut(&mut self, from: u64) -> io::Result<bool> {
-        let place = self.others_end(from, self.len)?;
+    /// Whether what begins at a place is as it was written, up to where it was cut: a record, the end
+    /// of the file, or nothing.
+    fn is_cut(&mut self, place: u64) -> io::Result<bool> {
         let rest = self.len - place;
-        let bytes = self.read_at(place, WINDOW)?;
+        let bytes = self.read_at(place, RECORD_START)?;
         if MAGIC.starts_with(&bytes) {
             return Ok(true);
         }
@@ -264,106 +319,106 @@ fn other_len(start: &[u8], is_summary: bool) -> Option<u64> {
     let is_whole = match *opcode {
         HEADER => split_text(body)
             .and_then(|(_profile, rest)| split_bytes(rest))
-            .is_some_and(|(_library, rest)| body.len() as u64 == len + rest.len() as u64),
+            .is_some_and(|(_library, rest)| len == (body.len() - rest.len()) as u64),
         MESSAGE_INDEX => split_u16(body)
             .and_then(|(_channel, rest)| split_u32(rest))
             .is_some_and(|(entries, _)| len == 6 + u64::from(entries) && entries % 16 == 0),
         DATA_END => len == 4,
         other => is_summary && SUMMARY.contains(&other) && len <= MAX_OTHER_LEN,
     };
-    is_whole.then_some(RECORD_HEAD as u64 + len)
+    len.checked_add(RECORD_HEAD as u64).filter(|_| is_whole)
 }
 
 /// The mended file under way.
-struct Copy<W: Write> {
+struct MendedFile<W: Write> {
     writer: mcap::Writer<NoSeek<W>>,
     /// Whether this program recorded it, whose channels are known.
     is_ours: bool,
     channels: BTreeSet<u16>,
-    mended: Mended,
+    found: Mended,
 }
 
-impl<W: Write> Copy<W> {
+impl<W: Write> MendedFile<W> {
     /// Adds the records of a chunk.
     fn add(&mut self, records: &[u8]) -> io::Result<()> {
+        if self.channels.is_empty() && self.is_ours {
+            self.add_lost_channels(records)?;
+        }
         let mut rest = records;
         let mut is_whole = true;
         while let Some((opcode, body, after)) = split_record(rest) {
             is_whole &= match opcode {
-                SCHEMA => self.schema(body)?,
-                CHANNEL => self.channel(body)?,
-                MESSAGE => self.message(body, records)?,
+                SCHEMA => self.add_schema(body)?,
+                CHANNEL => self.add_channel(body)?,
+                MESSAGE => self.add_message(body)?,
                 _ => true,
             };
             rest = after;
         }
         if !is_whole || !rest.is_empty() {
-            self.mended.damaged_places += 1;
+            self.found.damaged_places += 1;
         }
         Ok(())
     }
 
-    /// Whether it is one.
-    fn schema(&mut self, body: &[u8]) -> io::Result<bool> {
-        let Some(schema) = Schema::parse(body) else {
+    /// Adds a schema; `false` if it is none, or contradicts another one.
+    fn add_schema(&mut self, body: &[u8]) -> io::Result<bool> {
+        let Some((schema, encoding, definition)) = split_schema(body) else {
             return Ok(false);
         };
-        let Schema {
-            id,
-            name,
-            encoding,
-            definition,
-        } = &schema;
+        let SchemaRecord { id, name } = &schema;
         let added = self
             .writer
-            .add_schema_with_id(*id, name, encoding, definition);
-        added.map(|_| true).map_err(io_error)
+            .add_schema_with_id(*id, name, &encoding, definition);
+        is_added(added)
     }
 
-    /// Whether it is one.
-    fn channel(&mut self, body: &[u8]) -> io::Result<bool> {
-        let Some(channel) = Channel::parse(body) else {
+    /// Adds a channel; `false` if it is none, or contradicts what was before.
+    fn add_channel(&mut self, body: &[u8]) -> io::Result<bool> {
+        let Some((channel, metadata)) = split_channel(body) else {
             return Ok(false);
         };
-        let Channel {
+        let ChannelRecord {
             id,
             schema,
             topic,
             encoding,
-            metadata,
         } = &channel;
         let added = self
             .writer
-            .add_channel_with_id(*id, *schema, topic, encoding, metadata);
-        added.map_err(io_error)?;
-        self.channels.insert(*id);
-        Ok(true)
+            .add_channel_with_id(*id, *schema, topic, encoding, &metadata);
+        let is_added = is_added(added)?;
+        if is_added {
+            self.channels.insert(*id);
+        }
+        Ok(is_added)
     }
 
-    /// Whether it is one of a channel that is known, by now.
-    fn message(&mut self, body: &[u8], chunk: &[u8]) -> io::Result<bool> {
+    /// Adds a message; `false` if it is none, or its channel is unknown.
+    fn add_message(&mut self, body: &[u8]) -> io::Result<bool> {
         let Some((header, data)) = split_message(body) else {
             return Ok(false);
         };
-        if self.channels.is_empty() && self.is_ours {
-            self.add_lost_channels(chunk)?;
-        }
         if !self.channels.contains(&header.channel_id) {
             return Ok(false);
         }
         let written = self.writer.write_to_known_channel(&header, data);
         written.map_err(io_error)?;
-        self.mended.messages += 1;
+        self.found.messages += 1;
         Ok(true)
     }
 
-    /// Adds the channels that a recording has, where the chunk that described them is damaged. The
+    /// Adds the channels that a recording has, where the chunk that described them is damaged: the
     /// clouds name the sensor.
     fn add_lost_channels(&mut self, chunk: &[u8]) -> io::Result<()> {
         let mut rest = chunk;
         while let Some((opcode, body, after)) = split_record(rest) {
             rest = after;
-            let message = split_message(body).filter(|_| opcode == MESSAGE);
+            let message = match opcode {
+                MESSAGE => split_message(body),
+                CHANNEL => return Ok(()),
+                _ => None,
+            };
             let Some(sensor) = message.and_then(|(header, data)| sensor_of(&header, data)) else {
                 continue;
             };
@@ -377,57 +432,11 @@ impl<W: Write> Copy<W> {
     }
 }
 
-struct Schema<'a> {
-    id: u16,
-    name: String,
-    encoding: String,
-    definition: &'a [u8],
-}
-
-impl<'a> Schema<'a> {
-    fn parse(body: &'a [u8]) -> Option<Self> {
-        let (id, rest) = split_u16(body)?;
-        let (name, rest) = split_text(rest)?;
-        let (encoding, rest) = split_text(rest)?;
-        let definition = split_bytes(rest)?.0;
-        Some(Self {
-            id,
-            name,
-            encoding,
-            definition,
-        })
-    }
-}
-
-struct Channel {
-    id: u16,
-    schema: u16,
-    topic: String,
-    encoding: String,
-    metadata: BTreeMap<String, String>,
-}
-
-impl Channel {
-    fn parse(body: &[u8]) -> Option<Self> {
-        let (id, rest) = split_u16(body)?;
-        let (schema, rest) = split_u16(rest)?;
-        let (topic, rest) = split_text(rest)?;
-        let (encoding, rest) = split_text(rest)?;
-        let (mut pairs, _) = split_bytes(rest)?;
-        let mut metadata = BTreeMap::new();
-        while !pairs.is_empty() {
-            let (key, rest) = split_text(pairs)?;
-            let (value, rest) = split_text(rest)?;
-            metadata.insert(key, value);
-            pairs = rest;
-        }
-        Some(Self {
-            id,
-            schema,
-            topic,
-            encoding,
-            metadata,
-        })
+/// What the writer says of a schema or a channel: only the disk ends the mending.
+fn is_added(added: Result<u16, McapError>) -> io::Result<bool> {
+    match added {
+        Err(McapError::Io(cause)) => Err(cause),
+        other => Ok(other.is_ok()),
     }
 }
 
@@ -437,6 +446,27 @@ fn split_record(bytes: &[u8]) -> Option<(u8, &[u8], &[u8])> {
     let (len, rest) = split_u64(rest)?;
     let (body, rest) = rest.split_at_checked(usize::try_from(len).ok()?)?;
     Some((opcode, body, rest))
+}
+
+/// A schema, its encoding and its definition.
+fn split_schema(body: &[u8]) -> Option<(SchemaRecord, String, &[u8])> {
+    let (schema, rest) = SchemaRecord::split(body)?;
+    let (encoding, rest) = split_text(rest)?;
+    Some((schema, encoding, split_bytes(rest)?.0))
+}
+
+/// A channel, and its metadata.
+fn split_channel(body: &[u8]) -> Option<(ChannelRecord, BTreeMap<String, String>)> {
+    let (channel, rest) = ChannelRecord::split(body)?;
+    let (mut pairs, _) = split_bytes(rest)?;
+    let mut metadata = BTreeMap::new();
+    while !pairs.is_empty() {
+        let (key, rest) = split_text(pairs)?;
+        let (value, rest) = split_text(rest)?;
+        metadata.insert(key, value);
+        pairs = rest;
+    }
+    Some((channel, metadata))
 }
 
 fn split_message(body: &[u8]) -> Option<(RecordHeader, &[u8])> {

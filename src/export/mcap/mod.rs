@@ -27,8 +27,7 @@ use sweepd_messages::message_type::{self, MessageType};
 use sweepd_messages::transforms::{self, Transform};
 use sweepd_messages::{Cloud, MessageHeader, Stamp, markers, names};
 
-pub use files::{McapFiles, WrittenSweeps, check_name};
-use mend::mend_file;
+pub use files::{McapFiles, RecoveryWatch, WrittenSweeps, check_name};
 pub use mend::{Mended, mend};
 
 /// The program, as the header of a file names it.

@@ -4,7 +4,8 @@ use std::fs;
 use std::io::Cursor;
 use std::ops::Range;
 use std::path::Path;
-use std::sync::LazyLock;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 use mcap::MessageStream;
 use mcap::io::MessageReader;
@@ -125,194 +126,258 @@ fn a_file_cut_anywhere_is_mended_up_to_its_last_chunk() {
         assert!(streamed.count() >= 2 * whole);
     }
     for foreign in [&b""[..], b"\0\0\0", &[0x89; 4000], b"Dear Sir,\n"] {
-        let refused = mend(Cursor::new(foreign), Vec::new()).err().unwrap();
+        let over = AtomicBool::new(false);
+        let refused = mend(Cursor::new(foreign), Vec::new(), &over).err().unwrap();
         assert_eq!(refused.kind(), io::ErrorKind::InvalidData);
     }
 }
 
-/// The messages of a mended file, which has an index.
+/// Messages, bytes, and what was found.
 fn mend_all(damaged: &[u8]) -> (Read, Mended) {
-    let (mended, out) = mend(Cursor::new(damaged), Vec::new()).unwrap();
+    let over = AtomicBool::new(false);
+    let (mended, out) = mend(Cursor::new(damaged), Vec::new(), &over).unwrap();
     let summary = mcap::Summary::read(&out).unwrap().unwrap();
     assert_eq!(summary.stats.unwrap().message_count, mended.messages);
     (read(&out), mended)
 }
 
+fn begin(path: &Path, rotation: Rotation, existing: Existing) -> Result<McapFiles, WriteError> {
+    let watch = RecoveryWatch {
+        over: Arc::default(),
+        tell: |_| {},
+    };
+    McapFiles::create(path, rotation, existing, watch)
+}
+
 /// A recording of one sensor: its messages, its bytes, and where each chunk with two of them lies.
-fn small_recording() -> (Read, Vec<u8>, Vec<Range<usize>>) {
-    let messages: Vec<SweepMessages> = (0..8_i64)
-        .map(|number| {
+struct Recording {
+    messages: Read,
+    bytes: Vec<u8>,
+    chunks: Vec<Range<usize>>,
+}
+
+impl Recording {
+    fn small() -> Self {
+        let mut messages = Vec::new();
+        for number in 0..8 {
             let mut scene = Scene::street(16, 100, false);
             scene.fill(|sweep| {
                 sweep.header.time_ns += number * 100_000_000;
                 sweep.header.set_name("roof");
             });
-            SweepMessages::of(&scene.sweep())
-        })
-        .collect();
-    let bytes = file(&messages);
-    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
-    let mut chunks: Vec<Range<usize>> = summary
-        .chunk_indexes
-        .iter()
-        .map(|chunk| chunk.chunk_start_offset as usize..)
-        .zip(&summary.chunk_indexes)
-        .map(|(from, chunk)| from.start..from.start + chunk.chunk_length as usize)
-        .collect();
-    chunks.sort_by_key(|chunk| chunk.start);
-    (expected(&messages), bytes, chunks)
-}
-
-/// Fails unless the mended file has each message of each chunk that lies outside of the damage, in
-/// order, nothing that was not recorded, and says so where something is missing.
-fn check_mended(damaged: &[u8], damage: Range<usize>, what: &str) {
-    static RECORDING: LazyLock<(Read, Vec<u8>, Vec<Range<usize>>)> = LazyLock::new(small_recording);
-    let (expected, _, chunks) = &*RECORDING;
-    let (found, mended) = mend_all(damaged);
-    let mut rest = &found[..];
-    for (chunk, messages) in chunks.iter().zip(expected.chunks(2)) {
-        if rest.starts_with(messages) {
-            rest = &rest[2..];
-            continue;
+            messages.push(SweepMessages::of(&scene.sweep()));
         }
-        let is_hit = chunk.start < damage.end && damage.start < chunk.end;
-        assert!(is_hit, "{what}: the chunk at {chunk:?} is missing");
-        assert!(mended.damaged_places > 0, "{what}: nothing is said");
+        let bytes = file(&messages);
+        let mut chunks = Vec::new();
+        let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+        for chunk in &summary.chunk_indexes {
+            let start = chunk.chunk_start_offset as usize;
+            chunks.push(start..start + chunk.chunk_length as usize);
+        }
+        chunks.sort_by_key(|chunk| chunk.start);
+        Self {
+            messages: expected(&messages),
+            bytes,
+            chunks,
+        }
     }
-    assert!(rest.is_empty(), "{what}: {} messages too many", rest.len());
+
+    /// As a kill leaves it: no byte behind the last chunk.
+    fn unfinished(&self) -> &[u8] {
+        &self.bytes[..self.chunks[7].end]
+    }
+
+    /// Leaves these bytes as the part of a killed recording and records. Fails unless that gives a
+    /// file, the bytes are still there, and the mended file has each message of each chunk that lies
+    /// outside of the damage, in order, and none that was not recorded.
+    fn check(&self, left: &[u8], damage: Range<usize>, what: &str) {
+        let folder = tempfile::tempdir_in("/dev/shm").unwrap();
+        let file = folder.path().join("roof.mcap");
+        fs::write(folder.path().join("roof.mcap.part"), left).unwrap();
+        let mut files = begin(&file, Rotation::default(), Existing::Keep).unwrap();
+        files.write(&messages(1)[0]).unwrap();
+        files.finish().unwrap();
+        assert_eq!(read(&fs::read(&file).unwrap()).len(), 2, "{what}");
+
+        let mended = fs::read(folder.path().join("roof-recovered.mcap")).expect(what);
+        let found = read(&mended);
+        let mut rest = &found[..];
+        let mut is_missing = false;
+        for (chunk, messages) in self.chunks.iter().zip(self.messages.chunks(2)) {
+            if rest.starts_with(messages) {
+                rest = &rest[2..];
+                continue;
+            }
+            let is_hit = chunk.start < damage.end && damage.start < chunk.end;
+            assert!(is_hit, "{what}: the chunk at {chunk:?} is missing");
+            is_missing = true;
+        }
+        assert!(rest.is_empty(), "{what}: {} messages too many", rest.len());
+        let damaged = folder.path().join("roof-recovered.mcap.damaged");
+        let is_kept = fs::read(damaged).is_ok_and(|bytes| bytes == left);
+        assert!(is_kept || !is_missing, "{what}: the damaged file is gone");
+    }
 }
 
-/// 20 to 25 % of the bits are in the first chunk, which describes the channels of all others.
+/// A tenth of the bits is in the first chunk, which describes the channels of all others.
 #[test]
 fn one_wrong_bit_costs_one_chunk_at_most() {
-    let (_, bytes, chunks) = small_recording();
+    let recording = Recording::small();
+    let bytes = &recording.bytes;
     let mut random = fastrand::Rng::with_seed(1);
-    // The first 64 bits are the magic: without it the file is refused.
+    // The first 64 bits are the magic: without it the file is no recording.
     let bits = (64..4096).chain((0..500).map(|_| random.usize(64..8 * bytes.len())));
     let mut in_first = 0;
     for bit in bits {
         let mut damaged = bytes.clone();
         damaged[bit / 8] ^= 1 << (bit % 8);
-        in_first += usize::from(chunks[0].contains(&(bit / 8)));
-        check_mended(&damaged, bit / 8..bit / 8 + 1, &format!("bit {bit}"));
+        in_first += usize::from(recording.chunks[0].contains(&(bit / 8)));
+        recording.check(&damaged, bit / 8..bit / 8 + 1, &format!("bit {bit}"));
     }
     assert!(in_first > 1000, "{in_first}");
-    for bit in 0..64 {
-        let mut damaged = bytes.clone();
-        damaged[bit / 8] ^= 1 << (bit % 8);
-        assert!(mend(Cursor::new(damaged), Vec::new()).is_err());
-    }
 }
 
 #[test]
 fn noise_and_lengths_that_are_lies_cost_what_they_hit() {
-    let (_, bytes, chunks) = small_recording();
+    let recording = Recording::small();
+    let (bytes, unfinished) = (&recording.bytes, recording.unfinished());
     let mut random = fastrand::Rng::with_seed(2);
     let noise: Vec<u8> = std::iter::repeat_with(|| random.u8(..))
         .take(4096)
         .collect();
-    let behind = bytes.len()..bytes.len() + 1;
-    let unfinished = &bytes[..chunks[7].end];
-    check_mended(
-        &[&bytes, &noise[..]].concat(),
-        behind.clone(),
-        "noise behind",
-    );
-    check_mended(
+    let behind = || bytes.len()..bytes.len() + 1;
+    recording.check(&[bytes, &noise[..]].concat(), behind(), "noise behind");
+    recording.check(
         &[unfinished, &noise].concat(),
-        behind.clone(),
+        behind(),
         "noise behind chunks",
     );
-    check_mended(&[unfinished, &[0; 4096]].concat(), behind, "zeros behind");
+    recording.check(&[unfinished, &[0; 4096]].concat(), behind(), "zeros behind");
     for at in (8..bytes.len() - 4096).step_by(997) {
         let mut damaged = bytes.clone();
         damaged[at..at + 4096].copy_from_slice(&noise);
-        check_mended(&damaged, at..at + 4096, &format!("noise at {at}"));
+        recording.check(&damaged, at..at + 4096, &format!("noise at {at}"));
     }
-    for bits in [0, 3, 10, 20, 31, 32, 35, 40, 62, 63] {
-        let len = (1_u64 << bits).to_le_bytes();
-        for chunk in &chunks {
-            // The length of the record, of its records uncompressed, and of them compressed.
-            for field in [1, 9 + 16, 9 + 28 + 4 + 3] {
-                let at = chunk.start + field;
-                let mut damaged = bytes.clone();
-                damaged[at..at + 8].copy_from_slice(&len);
-                check_mended(&damaged, at..at + 8, &format!("2^{bits} at {at}"));
+    for len in [0, 3, 10, 20, 31, 32, 35, 40, 62, 63].map(|bits| 1_u64 << bits) {
+        for len in [len, !len] {
+            for chunk in &recording.chunks {
+                // The length of the record, of its records uncompressed, and of them compressed.
+                for field in [1, 9 + 16, 9 + 28 + 4 + 3] {
+                    let at = chunk.start + field;
+                    let mut damaged = bytes.clone();
+                    damaged[at..at + 8].copy_from_slice(&len.to_le_bytes());
+                    recording.check(&damaged, at..at + 8, &format!("{len} at {at}"));
+                }
             }
+            // Of the header of the file, and of a chunk behind it.
+            let mut damaged = bytes.clone();
+            damaged[9..17].copy_from_slice(&len.to_le_bytes());
+            recording.check(&damaged, 9..17, &format!("{len} in the header"));
+            let chunk = [unfinished, &[6], &len.to_le_bytes(), &[b'x'; 50]].concat();
+            recording.check(&chunk, behind(), &format!("{len} behind"));
         }
-        let behind = [unfinished, &[6], &len, &[b'x'; 50]].concat();
-        check_mended(
-            &behind,
-            bytes.len()..bytes.len() + 1,
-            &format!("2^{bits} behind"),
-        );
     }
 }
 
-/// Whatever a killed recording left: the next one records, and the bytes of what was not only cut
-/// are still there.
+/// A description that contradicts another one costs its own chunk.
 #[test]
-fn a_damaged_part_is_kept_and_stops_no_recording() {
-    let (_, bytes, chunks) = small_recording();
-    let cut = &bytes[..chunks[7].end];
-    let mut wrong = cut.to_vec();
-    wrong[chunks[0].start + 60] ^= 4;
-    let new = &messages(1)[0];
-    for (left, recovered) in [
-        (cut.to_vec(), Some(16)),
-        (wrong, Some(14)),
-        ([cut, &[0x99; 4096]].concat(), Some(16)),
+fn channels_of_a_lost_schema_cost_no_other_chunk() {
+    // The first chunk describes one sensor, the second another one with the same schemas.
+    let messages = messages(6);
+    let bytes = file(&messages);
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    let starts = summary
+        .chunk_indexes
+        .iter()
+        .map(|one| one.chunk_start_offset);
+    let mut damaged = bytes;
+    damaged[starts.min().unwrap() as usize + 80] ^= 1;
+    let (found, mended) = mend_all(&damaged);
+    // What is left of the first sensor has known channels, and names it.
+    let kept: Read = expected(&messages)[2..]
+        .iter()
+        .filter(|(topic, ..)| topic.contains("roof"))
+        .cloned()
+        .collect();
+    assert!(found.len() >= kept.len() && mended.damaged_places > 0);
+    assert!(kept.iter().all(|message| found.contains(message)));
+}
+
+/// Whatever a killed recording left: the next one records, and what is no recording, or has no whole
+/// chunk, stays.
+#[test]
+fn a_part_stops_no_recording_and_stays_where_nothing_of_it_is_whole() {
+    let recording = Recording::small();
+    let unfinished = recording.unfinished();
+    let first = &recording.chunks[0];
+    let mut without_magic = unfinished.to_vec();
+    without_magic[3] ^= 1;
+    let parts = [
+        (unfinished.to_vec(), Some(16)),
+        (recording.bytes[..first.start].to_vec(), Some(0)),
+        (recording.bytes[..first.end - 1].to_vec(), None),
+        (recording.bytes[..7].to_vec(), None),
+        (without_magic, None),
         (b"Dear Sir,\n".repeat(20), None),
-        (bytes[..chunks[0].end - 1].to_vec(), Some(0)),
-        (bytes[..7].to_vec(), None),
-        (MAGIC.iter().chain(&[0x77; 9000]).copied().collect(), None),
-    ] {
-        for rotation in [
-            Rotation::default(),
-            Rotation {
-                bytes: None,
-                ns: Some(1),
-            },
+        ([MAGIC, &[0x77; 9000]].concat(), None),
+    ];
+    let sequence = Rotation {
+        bytes: None,
+        ns: Some(1),
+    };
+    for (left, mended) in parts {
+        for (rotation, existing, name, recovered) in [
+            (
+                Rotation::default(),
+                Existing::Keep,
+                "roof.mcap",
+                "roof-recovered.mcap",
+            ),
+            (
+                Rotation::default(),
+                Existing::Replace,
+                "roof.mcap",
+                "roof-recovered.mcap",
+            ),
+            (sequence, Existing::Keep, "roof-000.mcap", "roof-000.mcap"),
         ] {
-            for existing in [Existing::Keep, Existing::Replace] {
-                if rotation.is_wanted() && existing == Existing::Replace {
-                    continue;
-                }
-                let folder = tempfile::tempdir().unwrap();
-                let file = folder.path().join("roof.mcap");
-                let name = if rotation.is_wanted() {
-                    "roof-000.mcap"
-                } else {
-                    "roof.mcap"
-                };
-                let part = folder.path().join(format!("{name}.part"));
-                fs::write(&part, &left).unwrap();
-                let mut files = McapFiles::create(&file, rotation, existing, |_| {}).unwrap();
-                files.write(new).unwrap();
-                let written = files.finish().unwrap();
-                assert_eq!(read(&fs::read(&written.last).unwrap()).len(), 2);
-                let all: Vec<Vec<u8>> = names(folder.path())
-                    .iter()
-                    .map(|name| fs::read(folder.path().join(name)).unwrap())
-                    .collect();
-                let is_only_cut = left.len() <= cut.len() && bytes.starts_with(&left);
-                let stays = left.len() < 8 || !is_only_cut;
-                assert_eq!(all.contains(&left), stays, "{:?}", names(folder.path()));
-                let name = if rotation.is_wanted() {
-                    name
-                } else {
-                    "roof-recovered.mcap"
-                };
-                match recovered {
-                    Some(count) => {
-                        let mended = fs::read(folder.path().join(name)).unwrap();
-                        assert_eq!(read(&mended).len(), count);
-                        assert!(!part.exists());
-                    }
-                    None => assert!(part.exists()),
-                }
+            let folder = tempfile::tempdir().unwrap();
+            let part = folder.path().join(format!("{name}.part"));
+            fs::write(&part, &left).unwrap();
+            let file = folder.path().join("roof.mcap");
+            let mut files = begin(&file, rotation, existing).unwrap();
+            files.write(&messages(1)[0]).unwrap();
+            let written = files.finish().unwrap();
+            assert_eq!(read(&fs::read(&written.last).unwrap()).len(), 2);
+            if let Some(count) = mended {
+                let mended = fs::read(folder.path().join(recovered)).unwrap();
+                assert_eq!(read(&mended).len(), count);
+                assert_eq!(names(folder.path()).len(), 2);
+            } else {
+                assert_eq!(fs::read(&part).unwrap(), left);
             }
         }
+    }
+}
+
+/// Each of many kills leaves a part, and each of them gets a name.
+#[test]
+fn as_many_recordings_may_be_killed_as_they_like() {
+    let recording = Recording::small();
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("roof.mcap");
+    fs::write(folder.path().join("roof.mcap.part"), "a letter").unwrap();
+    for number in 1..=30 {
+        fs::write(
+            folder.path().join("roof.mcap.part-2"),
+            recording.unfinished(),
+        )
+        .unwrap();
+        drop(begin(&file, Rotation::default(), Existing::Keep).unwrap());
+        // What the dropped one leaves has no message.
+        let left = names(folder.path());
+        assert!(left.contains(&"roof.mcap.part".to_owned()));
+        assert!(left.len() > number + 1, "{left:?}");
     }
 }
 
@@ -345,15 +410,14 @@ fn a_recording_begins_new_files_and_mends_what_another_left() {
     fs::write(folder.path().join("roof-001.mcap.part"), &whole[..cut]).unwrap();
     fs::write(folder.path().join("roof-000.mcap"), "somebody's").unwrap();
 
-    let mut files = McapFiles::create(&path, rotation, Existing::Keep, |_| {}).unwrap();
+    let mut files = begin(&path, rotation, Existing::Keep).unwrap();
     let mended = folder.path().join("roof-001.mcap");
     assert!(read(&fs::read(&mended).unwrap()) == expected(&messages[..2]));
     // A file under way is nobody else's.
-    let busy = McapFiles::create(
+    let busy = begin(
         &folder.path().join("roof-002.mcap"),
         Rotation::default(),
         Existing::Keep,
-        |_| {},
     );
     assert!(matches!(busy.err(), Some(WriteError::Busy { .. })));
     for one in &messages {
@@ -391,7 +455,7 @@ fn a_recording_begins_new_files_and_mends_what_another_left() {
 fn existing_files_and_other_names_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("roof.mcap");
-    let create = |existing| McapFiles::create(&path, Rotation::default(), existing, |_| {});
+    let create = |existing| begin(&path, Rotation::default(), existing);
     fs::write(&path, "old").unwrap();
     assert!(matches!(
         create(Existing::Keep).err(),
@@ -421,7 +485,7 @@ fn a_full_disk_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("roof.mcap");
     std::os::unix::fs::symlink("/dev/full", &path).unwrap();
-    let error = McapFiles::create(&path, Rotation::default(), Existing::Keep, |_| {})
+    let error = begin(&path, Rotation::default(), Existing::Keep)
         .err()
         .unwrap();
     assert!(

@@ -1,7 +1,7 @@
 //! Chunks of MCAP files: compressed records with a check sum. Bags are read and recordings are
 //! mended by this.
 
-use std::io::{Cursor, ErrorKind, Read};
+use std::io::{ErrorKind, Read};
 
 use flate2::Crc;
 use zerocopy::little_endian::{U32, U64};
@@ -9,18 +9,18 @@ use zerocopy::{FromBytes, FromZeros, Immutable, IntoBytes, KnownLayout, Unaligne
 
 use crate::capture::bag::bounded;
 use crate::capture::error::{Damage, Stop};
-use crate::capture::input::{Input, SharedInput};
+use crate::capture::input::SharedInput;
 
 /// Most bytes of a chunk with a check sum, uncompressed: all of it is in memory before any of it is
 /// used. Recorders write some megabytes.
-pub(crate) const MAX_LEN: u64 = 256 << 20;
+pub(crate) const MAX_LEN: u64 = 64 << 20;
 /// Longest name of a compression.
 const MAX_NAME_LEN: u64 = 64;
 
 /// The header of a chunk.
 pub(crate) struct ChunkHeader {
     fixed: FixedHeader,
-    compression: String,
+    pub(crate) compression: String,
     /// Bytes of the records, as they are in the file.
     pub(crate) compressed_len: u64,
 }
@@ -64,23 +64,22 @@ impl ChunkHeader {
         self.fixed.check_sum.get() != 0
     }
 
-    /// The records, which come next in the file. With a check sum they are read and checked here,
-    /// else as they are used.
-    pub(crate) fn records(&self, file: &SharedInput) -> Result<Input, Stop> {
+    /// Bytes of the records, uncompressed.
+    pub(crate) fn len(&self) -> u64 {
+        self.fixed.len.get()
+    }
+
+    /// All records, which come next in the file, if their check sum is right.
+    pub(crate) fn load(&self, file: &SharedInput) -> Result<Vec<u8>, Stop> {
+        let len = bounded(self.len(), MAX_LEN, "chunk")?;
         let mut records = file.chunk(&self.compression, self.compressed_len)?;
-        if !self.has_check_sum() {
-            return Ok(records);
-        }
-        records.load(bounded(self.fixed.len.get(), MAX_LEN, "chunk")?)?;
+        records.load(len)?;
         let mut sum = Crc::new();
         sum.update(records.bytes());
         if sum.sum() != self.fixed.check_sum.get() {
             return Err(Damage::ChunkSum.into());
         }
-        Ok(Input::over(
-            Box::new(Cursor::new(records.take_bytes())),
-            None,
-        ))
+        Ok(records.take_bytes())
     }
 }
 

@@ -14,39 +14,18 @@
 //! record reaches beyond a plain chunk. The index at the end is not needed.
 
 mod chunk;
+mod record;
 
 use std::collections::HashMap;
 
 pub(crate) use chunk::{ChunkHeader, MAX_LEN};
+pub(crate) use record::*;
 
 use super::chunks::Chunks;
 use super::scan::Encoding;
 use super::{Log, MAX_MESSAGE_LEN, Message, Topics};
 use crate::capture::error::{Damage, Place, Stop};
 use crate::capture::input::Input;
-
-pub(crate) const MAGIC: &[u8] = b"\x89MCAP0\r\n";
-
-pub(crate) const HEADER: u8 = 0x01;
-const FOOTER: u8 = 0x02;
-pub(crate) const SCHEMA: u8 = 0x03;
-pub(crate) const CHANNEL: u8 = 0x04;
-pub(crate) const MESSAGE: u8 = 0x05;
-pub(crate) const CHUNK: u8 = 0x06;
-pub(crate) const MESSAGE_INDEX: u8 = 0x07;
-const CHUNK_INDEX: u8 = 0x08;
-const STATISTICS: u8 = 0x0B;
-const SUMMARY_OFFSET: u8 = 0x0E;
-pub(crate) const DATA_END: u8 = 0x0F;
-/// What stands behind the end of the data.
-pub(crate) const SUMMARY: [u8; 6] = [
-    FOOTER,
-    SCHEMA,
-    CHANNEL,
-    CHUNK_INDEX,
-    STATISTICS,
-    SUMMARY_OFFSET,
-];
 
 const MESSAGE_HEADER_LEN: u64 = 22;
 /// Names stand at the start of their record; more than this of it is not read.
@@ -81,28 +60,22 @@ impl Mcap {
 
     fn schema(&mut self, len: u64) -> Result<(), Stop> {
         let body = self.names(len)?;
-        let parsed = split_u16(&body).and_then(|(id, rest)| Some((id, split_text(rest)?.0)));
-        let Some((id, name)) = parsed else {
+        let Some((schema, _)) = SchemaRecord::split(&body) else {
             return Err(Damage::BagRecord { what: "schema" }.into());
         };
-        self.schemas.insert(id, name);
+        self.schemas.insert(schema.id, schema.name);
         Ok(())
     }
 
     fn channel(&mut self, len: u64, topics: &mut Topics) -> Result<(), Stop> {
         let body = self.names(len)?;
-        let parsed = split_u16(&body).and_then(|(id, rest)| {
-            let (schema, rest) = split_u16(rest)?;
-            let (topic, rest) = split_text(rest)?;
-            Some((id, schema, topic, split_text(rest)?.0))
-        });
-        let Some((id, schema, topic, encoding)) = parsed else {
+        let Some((channel, _)) = ChannelRecord::split(&body) else {
             return Err(Damage::BagRecord { what: "channel" }.into());
         };
-        let kind = self.schemas.get(&schema).map_or("", String::as_str);
-        if let Some(index) = topics.add(&topic, kind)? {
-            let channel = (index, Encoding::named(&encoding));
-            self.channels.insert(id, channel);
+        let kind = self.schemas.get(&channel.schema);
+        if let Some(index) = topics.add(&channel.topic, kind.map_or("", String::as_str))? {
+            let encoding = Encoding::named(&channel.encoding);
+            self.channels.insert(channel.id, (index, encoding));
         }
         Ok(())
     }
@@ -159,31 +132,4 @@ impl Log for Mcap {
     fn place(&self) -> Place {
         self.records.place()
     }
-}
-
-pub(crate) fn split_u16(bytes: &[u8]) -> Option<(u16, &[u8])> {
-    let (&number, rest) = bytes.split_first_chunk()?;
-    Some((u16::from_le_bytes(number), rest))
-}
-
-pub(crate) fn split_u32(bytes: &[u8]) -> Option<(u32, &[u8])> {
-    let (&number, rest) = bytes.split_first_chunk()?;
-    Some((u32::from_le_bytes(number), rest))
-}
-
-pub(crate) fn split_u64(bytes: &[u8]) -> Option<(u64, &[u8])> {
-    let (&number, rest) = bytes.split_first_chunk()?;
-    Some((u64::from_le_bytes(number), rest))
-}
-
-/// Bytes with their length before them.
-pub(crate) fn split_bytes(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
-    let (len, rest) = split_u32(bytes)?;
-    rest.split_at_checked(len as usize)
-}
-
-/// A text with its length before it.
-pub(crate) fn split_text(bytes: &[u8]) -> Option<(String, &[u8])> {
-    let (text, rest) = split_bytes(bytes)?;
-    Some((String::from_utf8_lossy(text).into_owned(), rest))
 }
