@@ -172,7 +172,6 @@ fn argument(setting: &'static Setting) -> clap::Arg {
         Unit::Count => "N",
         Unit::Degrees => "DEG",
         Unit::Metres => "M",
-        Unit::Slope => "SLOPE",
     };
     let default = match setting.get(&segment::Config::default()) {
         Some(default) => default.to_string(),

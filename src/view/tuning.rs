@@ -67,7 +67,6 @@ pub(super) fn settings(now: &Config) -> Value {
                 Unit::Count => "",
                 Unit::Degrees => "deg",
                 Unit::Metres => "m",
-                Unit::Slope => "m/m",
             },
             "default": setting.get(&default),
             "now": setting.get(now),

@@ -51,8 +51,6 @@ pub enum Unit {
     Degrees,
     /// Metres.
     Metres,
-    /// Metres a metre.
-    Slope,
 }
 
 impl Unit {
@@ -62,7 +60,6 @@ impl Unit {
             Self::Count => "",
             Self::Degrees => "degrees",
             Self::Metres => "metres",
-            Self::Slope => "metres a metre",
         }
     }
 }
@@ -152,26 +149,6 @@ pub const SETTINGS: &[Setting] = &[
         range: 0.0..=5.0,
         absent: "",
         field: |config| Field::Number(&mut config.joining.small_reach_m),
-    },
-    Setting {
-        key: "max_slope",
-        table: Table::Segment,
-        option: "max-slope",
-        doc: "Steepest ground (method slope), metres a metre",
-        unit: Unit::Slope,
-        range: 0.01..=1.0,
-        absent: "",
-        field: |config| Field::Number(&mut config.slope.max_slope),
-    },
-    Setting {
-        key: "max_kerb_m",
-        table: Table::Segment,
-        option: "max-kerb",
-        doc: "Highest kerb that is ground where the way goes on level behind it (method slope), metres",
-        unit: Unit::Metres,
-        range: 0.0..=1.0,
-        absent: "",
-        field: |config| Field::Number(&mut config.slope.max_kerb_m),
     },
     Setting {
         key: "height_m",
