@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 
 use sweepd::cloud::{self, CloudProjector, CloudSegmenter};
 use sweepd::score::{Baseline, ScanScore, Truth};
-use sweepd::segment::{Config, Joining, Method, Segmenter, SlopeGround};
+use sweepd::segment::{Config, Joining, Method, Segmenter};
 use sweepd::sweep::SweepMut;
 use sweepd::sweep::buffers::HeapBuffer;
 
@@ -27,8 +27,6 @@ type Result<T> = std::result::Result<T, Box<dyn Error + Send + Sync>>;
 
 /// Rings of which one is kept.
 const STEPS: [usize; 3] = [1, 2, 4];
-/// Of all rows, in the mean.
-const HDL64E_ROWS_APART_DEG: f32 = 0.43;
 /// What a nat of USE costs where a variant is chosen: merging is worse than splitting.
 const USE_PRICE: f64 = 0.005;
 /// What a variant is chosen by, with a name for the tables.
@@ -82,9 +80,7 @@ fn main() -> Result<()> {
             .collect::<Vec<_>>(),
     );
     for (rule, worth) in RULES {
-        println!(
-            "\n### Chosen by the greatest {rule} of the others (`gap_m`, `small_reach_m`, `max_slope`)"
-        );
+        println!("\n### Chosen by the greatest {rule} of the others (`gap_m`, `small_reach_m`)");
         for (step, [_, scored]) in STEPS.iter().zip(&measured) {
             print_left_out(64 / step, &grid, scored, worth);
         }
@@ -278,12 +274,6 @@ impl Variant {
         }
     }
 
-    fn slope(name: impl Into<String>, change: impl FnOnce(&mut SlopeGround)) -> Self {
-        let mut config = Config::default();
-        change(&mut config.slope);
-        Self::ours(name, config)
-    }
-
     fn joining(name: impl Into<String>, change: impl FnOnce(&mut Joining)) -> Self {
         let mut config = Config::default();
         change(&mut config.joining);
@@ -291,37 +281,9 @@ impl Variant {
     }
 }
 
-/// A parameter of the ground.
-type Field = fn(&mut SlopeGround) -> &mut f32;
-
-/// All of them, but for the one that is chosen by the rows.
-const FIELDS: [(&str, Field); 5] = [
-    ("max_slope", |slope| &mut slope.max_slope),
-    ("min_rise_m", |slope| &mut slope.min_rise_m),
-    ("max_step_m", |slope| &mut slope.max_step_m),
-    ("max_kerb_m", |slope| &mut slope.max_kerb_m),
-    ("agree_m", |slope| &mut slope.agree_m),
-];
-
 /// One change each.
 fn ingredients() -> Vec<Variant> {
     let mut variants = vec![Variant::ours("**default**", Config::default())];
-    variants.push(Variant::slope("`agree_m` 0: no vote", |slope| {
-        slope.agree_m = 0.0
-    }));
-    for (name, field) in FIELDS {
-        for factor in [0.5, 2.0] {
-            let value = factor * *field(&mut SlopeGround::default());
-            variants.push(Variant::slope(format!("`{name}` {value}"), |slope| {
-                *field(slope) = value
-            }));
-        }
-    }
-    for rise_m in [0.075, 0.15, 0.3, 0.6] {
-        variants.push(Variant::slope(format!("`max_rise_m` {rise_m}"), |slope| {
-            slope.max_rise_m = Some(rise_m)
-        }));
-    }
     for [columns, rows] in [[1, 1], [5, 2], [8, 2], [12, 1], [12, 2], [12, 3]] {
         let name = format!("`columns` {columns}, `rows` {rows}");
         variants.push(Variant::joining(name, |joining| {
@@ -387,17 +349,10 @@ fn grid() -> Vec<Variant> {
     let mut variants = vec![Variant::ours("default", Config::default())];
     for gap_m in [0.5, 0.6, 0.7, 0.8, 0.9] {
         for reach_m in [0.15, 0.25, 0.35] {
-            for slope in [0.15, 0.2, 0.25] {
-                let mut variant =
-                    Variant::joining(format!("{gap_m}, {reach_m}, {slope}"), |joining| {
-                        joining.gap_m = Some(gap_m);
-                        joining.small_reach_m = reach_m;
-                    });
-                if let Way::Ours(config) = &mut variant.way {
-                    config.slope.max_slope = slope;
-                }
-                variants.push(variant);
-            }
+            variants.push(Variant::joining(format!("{gap_m}, {reach_m}"), |joining| {
+                joining.gap_m = Some(gap_m);
+                joining.small_reach_m = reach_m;
+            }));
         }
     }
     variants
@@ -417,20 +372,11 @@ fn print_defaults() {
         small_reach_m,
         ..
     } = joining;
-    let mut slope = SlopeGround::default();
-    let ground: Vec<String> = FIELDS
-        .iter()
-        .map(|(name, field)| format!("`{name}` {}", field(&mut slope)))
-        .collect();
-    let each = |of: &dyn Fn(usize) -> f32| STEPS.map(|step| of(step).to_string()).join(" / ");
-    let (rises, gaps) = (
-        each(&|step| slope.max_rise_m(step as f32 * HDL64E_ROWS_APART_DEG.to_radians())),
-        each(&|step| joining.gap_m(step == 1)),
-    );
+    let gaps = STEPS.map(|step| joining.gap_m(step == 1).to_string());
     println!(
-        "Defaults: {}, `max_rise_m` {rises} (64 / 32 / 16 rows);\n`columns` {columns}, `rows` {rows}, `gap_m` {gaps}, `small_points` {small_points}, \
+        "Defaults: `columns` {columns}, `rows` {rows}, `gap_m` {} (64 / 32 / 16 rows), `small_points` {small_points}, \
          `small_reach_m` {small_reach_m};\ntheta {:.0}°, `min_points` {min_points}.\n",
-        ground.join(", "),
+        gaps.join(" / "),
         theta_rad.to_degrees(),
     );
 }

@@ -270,9 +270,8 @@ fn options() {
         ),
         "option",
     );
-    let variants: [(&str, Change); 7] = [
+    let variants: [(&str, Change); 6] = [
         ("default", |_| {}),
-        ("agree_m 0: no vote", |config| config.slope.agree_m = 0.0),
         ("small_points 0: small parts stay", |config| {
             config.joining.small_points = 0
         }),

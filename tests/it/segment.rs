@@ -10,9 +10,7 @@ use sweepd::assemble::lanes::levels;
 use sweepd::cloud::{COLUMNS, CloudProjector, CloudSegmenter, points};
 use sweepd::segment::objects::Objects;
 use sweepd::segment::points::placed;
-use sweepd::segment::{
-    Config, ConfigError, Joining, Mask, Method, Mount, Segmenter, SlopeGround, naive,
-};
+use sweepd::segment::{Config, ConfigError, Joining, Mask, Method, Mount, Segmenter, naive};
 use sweepd::sensor::Beam;
 use sweepd::sensor::calibration::TwoPoint;
 use sweepd::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, flags, is_return};
@@ -113,10 +111,6 @@ impl Scene {
                 gap_m: [None, Some(0.1), Some(2.0), Some(5.0), Some(f32::INFINITY)][rng.usize(..5)],
                 small_points: [0, 1, 5, 22][rng.usize(..4)],
                 small_reach_m: [1.0, 5.0][rng.usize(..2)] * rng.f32(),
-            },
-            slope: SlopeGround {
-                agree_m: [0.0, 0.5, 5.0][rng.usize(..3)],
-                ..SlopeGround::default()
             },
             ..Config::default()
         }

@@ -1,13 +1,17 @@
 //! The climb: which returns of a column are ground, from the sensor's foot up; see
-//! [`SlopeGround`].
+//! [`ground`](super::ground).
 //!
 //! It treats as many columns at once as a vector has lanes, row by row, in numbers of 16 bits. So
-//! the strip is put into [`Steps`] first. A kerb is found from below, but known to be one only where
-//! the way goes on level above its face: the rows with its face are looked up afterwards, in words.
+//! the strip is put into [`Spots`] first. Then it is gone over four times: up for what is steep,
+//! down for the faces that this makes, up for the climb itself, down for what waited. On the way up
+//! each lane is a column, on the way down each bit of a word.
 
 use fearless_simd::{Simd, prelude::*};
 
-use super::ground::SlopeGround;
+use super::ground::{
+    AWAY_STEPS, FLAT_SHIFT, HEIGHT_STEPS, MAX_FOOT, MAX_KERB, MAX_LEAN, MAX_RISE, MAX_STEP,
+    MAX_TOP, MIN_RISE, NEAR, PLATEAU, STEEP,
+};
 use super::order::{MAX_ROWS, STRIP, Words, lane_read, push};
 use super::points::{Beams, Profile};
 use super::ranges::Ranges;
@@ -29,7 +33,7 @@ impl Default for Climb {
         Self {
             height_m: None,
             ground: [[0; 3]; MAX_ROWS],
-            spots: Box::new([Spots([[0; STRIP]; 3]); MAX_ROWS]),
+            spots: Box::new([Spots::default(); MAX_ROWS]),
         }
     }
 }
@@ -37,120 +41,153 @@ impl Default for Climb {
 /// What the columns of a row are found to be: a bit each.
 #[derive(Clone, Copy, Default)]
 struct ClimbedRow {
-    ground: u64,
-    /// The face of a kerb, if the way goes on level behind it.
-    face: u64,
-    /// The way goes on level behind a kerb.
+    /// Steep over its foot.
+    steep: u64,
+    /// Steep, and high over its foot.
+    step: u64,
+    /// Ground, whatever comes behind it.
+    sure: u64,
+    /// Waits, and is ground unless the column comes down again.
+    doubt: u64,
+    /// Waits, and is ground only if the way goes on level.
+    low: u64,
+    /// The way has gone on level for long enough: what waits below is ground.
     goes_on: u64,
+    /// The column comes down again: what waits below is an object.
+    comes_down: u64,
+    /// What waits below does not wait for what is above.
+    ends: u64,
 }
 
 impl Climb {
     /// Climbs the columns that were read, from this position on.
     #[inline(always)]
-    pub fn next<S: Simd>(
-        &mut self,
-        simd: S,
-        limits: &SlopeGround,
-        beams: &Beams,
-        ranges: &Ranges,
-        position: usize,
-    ) {
-        let rows = beams.rows();
-        let mut found = [ClimbedRow::default(); MAX_ROWS];
+    pub fn next<S: Simd>(&mut self, simd: S, beams: &Beams, ranges: &Ranges, position: usize) {
+        let mut rows = [ClimbedRow::default(); MAX_ROWS];
+        let rows = &mut rows[..beams.rows()];
         if let Some(height_m) = self.height_m {
-            let steps = Steps::new(limits, beams.rows_apart_rad, height_m);
-            for (row, spots) in self.spots[..rows].iter_mut().enumerate() {
-                spots.place(simd, &steps, beams, ranges, row, position);
+            for (row, spots) in self.spots[..rows.len()].iter_mut().enumerate() {
+                spots.place(simd, height_m, beams, ranges, row, position);
             }
-            for first in (0..STRIP).step_by(S::i16s::LEN) {
-                let mut climber = Climber::new(simd);
-                for (row, spots) in self.spots[..rows].iter().enumerate().rev() {
-                    if (ranges.read[row] >> first).trailing_zeros() as usize >= S::i16s::LEN {
-                        continue;
-                    }
-                    let real: S::i16s = ranges.steps.load(simd, lane_read(row) + first);
-                    let away = spots.load(simd, first, 0);
-                    let here = Foothold {
-                        way: spots.load(simd, first, 1),
-                        height: spots.load(simd, first, 2),
-                    };
-                    let [ground, face, goes_on] = climber.step(&steps, away, here, real.simd_gt(0));
-                    found[row].ground |= ground.to_bitmask() << first;
-                    found[row].face |= face.to_bitmask() << first;
-                    found[row].goes_on |= goes_on.to_bitmask() << first;
+            self.find_steep(simd, ranges, rows);
+            let faces = faces(ranges, rows);
+            self.climb(simd, ranges, &faces, rows);
+        }
+        self.settle(ranges, rows);
+    }
+
+    /// What is steep over its foot, the last return below it that is not.
+    #[inline(always)]
+    fn find_steep<S: Simd>(&self, simd: S, ranges: &Ranges, rows: &mut [ClimbedRow]) {
+        for first in (0..STRIP).step_by(S::i16s::LEN) {
+            let mut foot = Spot::below_sensor(simd);
+            for (row, found) in rows.iter_mut().enumerate().rev() {
+                if is_empty::<S>(ranges.read[row], first) {
+                    continue;
                 }
+                let real = is_real(simd, ranges, row, first);
+                let here = self.spots[row].load(simd, first);
+                let rise = here.height.saturating_sub(foot.height);
+                let apart: S::i16s = (here.away - foot.away).abs();
+                let steep = rise.saturating_add(MAX_STEP).simd_gt(in_height::<S>(apart)) & real;
+                let step = steep & rise.simd_gt(MAX_STEP);
+                found.steep |= steep.to_bitmask() << first;
+                found.step |= step.to_bitmask() << first;
+                foot = here.or(foot, real & !steep);
             }
         }
-        // From the top: the faces straight below where the way goes on level are ground, too.
-        let mut kerb = 0;
-        for (row, found) in found[..rows].iter().enumerate() {
-            push(&mut self.ground[row], found.ground | kerb & found.face);
-            kerb = kerb & (found.face | !ranges.read[row]) | found.goes_on;
+    }
+
+    /// Follows the ground, and what stands on it.
+    #[inline(always)]
+    fn climb<S: Simd>(
+        &self,
+        simd: S,
+        ranges: &Ranges,
+        faces: &[u64; MAX_ROWS],
+        rows: &mut [ClimbedRow],
+    ) {
+        for first in (0..STRIP).step_by(S::i16s::LEN) {
+            let mut climber = Climber::new(simd);
+            for (row, found) in rows.iter_mut().enumerate().rev() {
+                if is_empty::<S>(ranges.read[row], first) {
+                    continue;
+                }
+                let real = is_real(simd, ranges, row, first);
+                let face = S::mask16s::from_bitmask(simd, faces[row] >> first);
+                let here = self.spots[row].load(simd, first);
+                let step = climber.step(here, real, face);
+                found.sure |= step.sure.to_bitmask() << first;
+                found.doubt |= step.doubt.to_bitmask() << first;
+                found.low |= step.low.to_bitmask() << first;
+                found.goes_on |= step.goes_on.to_bitmask() << first;
+                found.comes_down |= step.comes_down.to_bitmask() << first;
+                found.ends |= step.ends.to_bitmask() << first;
+            }
+        }
+    }
+
+    /// Settles what waited, from the top.
+    #[inline(always)]
+    fn settle(&mut self, ranges: &Ranges, rows: &[ClimbedRow]) {
+        let mut is_ground = 0;
+        let mut is_object = 0;
+        for (row, found) in rows.iter().enumerate() {
+            let ground = found.sure | found.low & is_ground | found.doubt & !is_object;
+            push(&mut self.ground[row], ground);
+            let waits = (found.doubt | found.low) & !found.ends | !ranges.read[row];
+            is_ground = found.goes_on | is_ground & waits;
+            is_object = found.comes_down | is_object & waits;
         }
     }
 }
 
-/// How far away steps reach, metres: as far as any sensor sees.
-const REACH_M: f32 = 256.0;
+/// The faces of each row: what is steep below a step, down to its foot.
+#[inline(always)]
+fn faces(ranges: &Ranges, rows: &[ClimbedRow]) -> [u64; MAX_ROWS] {
+    let mut faces = [0; MAX_ROWS];
+    let mut below_step = 0;
+    for (row, found) in rows.iter().enumerate() {
+        let read = ranges.read[row];
+        below_step |= found.step;
+        faces[row] = below_step & read;
+        below_step &= found.steep | !read;
+    }
+    faces
+}
+
+/// Whether none of the columns that a vector has from one on was read.
+#[inline(always)]
+fn is_empty<S: Simd>(read: u64, first: usize) -> bool {
+    (read >> first).trailing_zeros() as usize >= S::i16s::LEN
+}
+
+/// Which of the columns from one on hold a return.
+#[inline(always)]
+fn is_real<S: Simd>(simd: S, ranges: &Ranges, row: usize, first: usize) -> S::mask16s {
+    let steps: S::i16s = ranges.steps.load(simd, lane_read(row) + first);
+    steps.simd_gt(0)
+}
+
 /// Ranges that are further are taken for this, metres: in steps it still has less than 32 bits.
 const FURTHEST_M: f32 = 1e6;
 
-/// Limits of a climb in whole steps: so twice as many columns fit into a vector.
-pub(super) struct Steps {
-    /// Steps of a height, a metre: a step is 2 mm, or more where the way may be steeper than 1 to 4,
-    /// so that the way to what is [`REACH_M`] away can be written.
-    pub per_m: f32,
-    max_slope: f32,
-    /// Height of the sensor over the ground, metres.
-    height_m: f32,
-    pub max_rise: i16,
-    pub min_rise: i16,
-    pub max_step: i16,
-    pub max_kerb: i16,
-    /// The way that is a step back.
-    pub step_back: i16,
+/// A row of a strip in steps: of each return the distance from the plumb line, and the height over
+/// the ground at the sensor.
+#[derive(Clone, Copy, Debug)]
+struct Spots {
+    away: [i16; STRIP],
+    height: [i16; STRIP],
 }
 
-/// A step of a distance has this many of a height.
-pub(super) const STEPS_AWAY: u32 = 2;
-
-impl Steps {
-    pub fn new(limits: &SlopeGround, rows_apart_rad: f32, height_m: f32) -> Self {
-        let per_m = (f32::from(i16::MAX) / (REACH_M * limits.max_slope)).min(512.0);
-        let whole = |limit_m: f32| (limit_m * per_m).round() as i16;
+impl Default for Spots {
+    fn default() -> Self {
         Self {
-            per_m,
-            max_slope: limits.max_slope,
-            height_m,
-            max_rise: whole(limits.max_rise_m(rows_apart_rad)),
-            min_rise: whole(limits.min_rise_m),
-            max_step: whole(limits.max_step_m),
-            max_kerb: whole(limits.max_kerb_m),
-            step_back: whole(-limits.max_step_m * limits.max_slope),
+            away: [0; STRIP],
+            height: [0; STRIP],
         }
     }
-
-    /// Distance from the plumb line, way and height; see [`Spots`].
-    #[inline(always)]
-    fn scale<S: Simd>(&self, at: Profile<S::f32s>) -> [S::i32s; 3] {
-        let away = at.away * (self.per_m / (1 << STEPS_AWAY) as f32);
-        let way = at.away * (self.per_m * self.max_slope);
-        let height = (at.height + self.height_m) * self.per_m;
-        [
-            away.to_int(),
-            way.to_int(),
-            height.round_ties_even().to_int(),
-        ]
-    }
 }
-
-/// A row of a strip in steps: of each return the distance from the plumb line, how high the
-/// steepest way rises from the plumb line to there, and its height over the ground at the sensor.
-///
-/// The difference of two ways is what the way rises between them. To know it beforehand keeps a
-/// product out of the chain from row to row.
-#[derive(Clone, Copy, Debug)]
-struct Spots([[i16; STRIP]; 3]);
 
 impl Spots {
     /// Takes a row of the columns that were read, from this position on.
@@ -158,7 +195,7 @@ impl Spots {
     fn place<S: Simd>(
         &mut self,
         simd: S,
-        steps: &Steps,
+        height_m: f32,
         beams: &Beams,
         ranges: &Ranges,
         row: usize,
@@ -173,108 +210,158 @@ impl Spots {
             let at = position + first;
             let low = beams.profile(simd, beam, at, low_m.min(FURTHEST_M));
             let high = beams.profile(simd, beam, at + half, high_m.min(FURTHEST_M));
-            let low = steps.scale::<S>(low);
-            let high = steps.scale::<S>(high);
-            for kind in 0..3 {
-                let spots = low[kind].saturating_narrow(high[kind]);
-                spots.store_slice(&mut self.0[kind][first..first + 2 * half]);
-            }
+            let [low_away, low_height] = to_steps::<S>(low, height_m);
+            let [high_away, high_height] = to_steps::<S>(high, height_m);
+            let lanes = first..first + 2 * half;
+            let away = low_away.saturating_narrow(high_away);
+            away.store_slice(&mut self.away[lanes.clone()]);
+            let height = low_height.saturating_narrow(high_height);
+            height.store_slice(&mut self.height[lanes]);
         }
     }
 
-    /// Of the columns from one on: distances, ways or heights.
+    /// Of the columns from one on.
     #[inline(always)]
-    fn load<S: Simd>(&self, simd: S, first: usize, kind: usize) -> S::i16s {
-        S::i16s::from_slice(simd, &self.0[kind][first..first + S::i16s::LEN])
+    fn load<S: Simd>(&self, simd: S, first: usize) -> Spot<S> {
+        let lanes = first..first + S::i16s::LEN;
+        Spot {
+            away: S::i16s::from_slice(simd, &self.away[lanes.clone()]),
+            height: S::i16s::from_slice(simd, &self.height[lanes]),
+        }
     }
 }
 
-/// The climb of as many columns as a vector has lanes.
-struct Climber<S: Simd> {
-    foothold: Foothold<S>,
-    /// The foot of what rises steeply: near the sensor, beams are so close that no step from one to
-    /// the next is high.
-    foot_away: S::i16s,
-    foot_height: S::i16s,
-    /// The upper edge of what may be a kerb, where there is one.
-    edge: Foothold<S>,
-    has_edge: S::mask16s,
+/// Distance and height over the ground in steps, with the sensor this high over it.
+#[inline(always)]
+fn to_steps<S: Simd>(at: Profile<S::f32s>, height_m: f32) -> [S::i32s; 2] {
+    let away = at.away * AWAY_STEPS;
+    let height = (at.height + height_m) * HEIGHT_STEPS;
+    [away.to_int(), height.round_ties_even().to_int()]
 }
 
-/// A return that the way leads on from.
+/// A distance in steps of a height: [`STEEP`] times as many.
+#[inline(always)]
+fn in_height<S: Simd>(away: S::i16s) -> S::i16s {
+    const { assert!(STEEP == 5) };
+    let twice = away.saturating_add(away);
+    twice.saturating_add(twice).saturating_add(away)
+}
+
+/// Distances and heights of a return of each column, in steps.
 #[derive(Clone, Copy)]
-struct Foothold<S: Simd> {
-    way: S::i16s,
+struct Spot<S: Simd> {
+    away: S::i16s,
     height: S::i16s,
 }
 
-impl<S: Simd> Foothold<S> {
+impl<S: Simd> Spot<S> {
+    /// The ground straight below the sensor.
+    #[inline(always)]
+    fn below_sensor(simd: S) -> Self {
+        let zero = S::i16s::splat(simd, 0);
+        Self {
+            away: zero,
+            height: zero,
+        }
+    }
+
     /// This one where the mask says so, else the other.
     #[inline(always)]
     fn or(self, other: Self, mask: S::mask16s) -> Self {
         Self {
-            way: mask.select(self.way, other.way),
+            away: mask.select(self.away, other.away),
             height: mask.select(self.height, other.height),
         }
     }
 }
 
+/// The climb of as many columns as a vector has lanes.
+struct Climber<S: Simd> {
+    /// The ground that the way leads on from.
+    foothold: Spot<S>,
+    /// The last return that waits, or that lies on an object.
+    edge: Spot<S>,
+    /// The distance of the first such return.
+    start_away: S::i16s,
+    /// Whether the edge waits for what comes behind it.
+    waits: S::mask16s,
+    /// Whether the edge lies on a face that is no kerb.
+    on_object: S::mask16s,
+}
+
+/// What a return is found to be, and what it says of those that wait: see [`ClimbedRow`].
+struct Step<S: Simd> {
+    sure: S::mask16s,
+    doubt: S::mask16s,
+    low: S::mask16s,
+    goes_on: S::mask16s,
+    comes_down: S::mask16s,
+    ends: S::mask16s,
+}
+
 impl<S: Simd> Climber<S> {
-    /// At the foot of the sensor.
     #[inline(always)]
     fn new(simd: S) -> Self {
-        let zero = S::i16s::splat(simd, 0);
-        let foothold: Foothold<S> = Foothold {
-            way: zero,
-            height: zero,
-        };
         Self {
-            foothold,
-            foot_away: zero,
-            foot_height: zero,
-            edge: foothold,
-            has_edge: S::mask16s::splat(simd, false),
+            foothold: Spot::below_sensor(simd),
+            edge: Spot::below_sensor(simd),
+            start_away: S::i16s::splat(simd, 0),
+            waits: S::mask16s::splat(simd, false),
+            on_object: S::mask16s::splat(simd, false),
         }
     }
 
-    /// Takes the next row up: whether it is ground, the face of a kerb, and the level way behind
-    /// one.
+    /// Takes the next row up.
     #[inline(always)]
-    fn step(
-        &mut self,
-        steps: &Steps,
-        away: S::i16s,
-        here: Foothold<S>,
-        real: S::mask16s,
-    ) -> [S::mask16s; 3] {
+    fn step(&mut self, here: Spot<S>, real: S::mask16s, face: S::mask16s) -> Step<S> {
+        let rise = here.height.saturating_sub(self.foothold.height);
+        let ahead: S::i16s = here.away - self.foothold.away;
+
+        // Held against the edge: the column comes down from it, or goes on level with it.
         let above = here.height.saturating_sub(self.edge.height);
         let below = self.edge.height.saturating_sub(here.height);
-        let is_level = above.max(below).simd_lt(here.way - self.edge.way);
-        let goes_on = self.has_edge & real & is_level;
-        self.foothold = self.edge.or(self.foothold, goes_on);
-        self.has_edge &= !real;
+        let apart = above.max(below);
+        let run: S::i16s = here.away - self.start_away;
+        let follows = real & (self.waits | self.on_object & run.simd_lt(MAX_TOP));
+        let is_down = follows & rise.simd_lt(apart) & rise.simd_gt(-apart);
+        let beyond: S::i16s = here.away - self.edge.away;
+        let is_level = follows & !is_down & !face & apart.simd_lt(beyond.max(MIN_RISE));
+        let is_short = (self.edge.away - self.start_away).simd_lt(PLATEAU);
+        let ends = is_down & self.waits;
+        let goes_on = is_level & self.waits & run.simd_ge(PLATEAU);
+        let waits = self.waits & !is_down & !goes_on;
 
-        let rise = here.height.saturating_sub(self.foothold.height);
-        let way: S::i16s = here.way - self.foothold.way;
-        let rises_little = rise.simd_lt(way.min(steps.max_rise).max(steps.min_rise));
-        let falls_little = rise
-            .saturating_add(way.abs().max(steps.min_rise))
-            .simd_gt(0);
-        let foot_away: S::i16s = away - self.foot_away;
-        let foot_rise = here.height.saturating_sub(self.foot_height);
-        let is_steep = (foot_rise >> STEPS_AWAY).simd_gt(foot_away.abs());
-        let is_step = is_steep & foot_rise.simd_gt(steps.max_step);
-        let ground = real & rises_little & falls_little & !is_step;
-        let is_low = rise.simd_gt(0) & rise.simd_le(steps.max_kerb) & way.simd_gt(steps.step_back);
-        let face = real & !ground & is_low;
+        // All else is held against the foothold: ground, what waits, or an object.
+        let rest = real & !is_level;
+        let falls_little = rest & rise.saturating_add(ahead.abs().max(MAX_RISE)).simd_gt(0);
+        let stands_apart = ahead.simd_ge(NEAR) & self.foothold.away.simd_gt(0);
+        let too_high = stands_apart & rise.simd_ge(MAX_RISE / 2);
+        let gentle = rise.simd_lt(ahead.min(MAX_RISE).max(MIN_RISE));
+        let walkable = falls_little & !face & gentle & !too_high;
+        let flat = walkable & rise.simd_le((ahead >> FLAT_SHIFT).max(MIN_RISE));
+        let doubt = walkable & !flat;
+        let sure = flat | falls_little & face & rise.simd_le(MAX_FOOT);
+        let is_up = rise.simd_gt(0);
+        let is_kerb = rise.simd_le(MAX_RISE) & !(face & rise.simd_gt(MAX_KERB));
+        let low = rest & !sure & !doubt & is_up & is_kerb & ahead.simd_gt(-MAX_LEAN);
+        let object = rest & !sure & !doubt & !low;
 
-        self.foothold = here.or(self.foothold, ground);
-        self.edge = here.or(self.edge, face);
-        self.has_edge |= face;
-        let is_foot = real & !is_steep;
-        self.foot_away = is_foot.select(away, self.foot_away);
-        self.foot_height = is_foot.select(here.height, self.foot_height);
-        [ground, face, goes_on]
+        let starts = object | (doubt | low) & !waits;
+        // Noise lifts no foothold: else dense rows would climb a bank by what is flat for each.
+        let moves = goes_on | flat & rise.simd_le(ahead.max(0));
+        self.start_away = starts.select(here.away, self.start_away);
+        self.edge = here.or(self.edge, real & !sure);
+        self.foothold = here.or(self.foothold, moves);
+        self.waits = waits & !rest | doubt | low;
+        self.on_object = self.on_object & !rest | object & face & is_up;
+        Step {
+            sure: sure | goes_on,
+            doubt,
+            low: low | is_level & waits,
+            goes_on,
+            comes_down: ends & is_short,
+            ends,
+        }
     }
 }
 
@@ -291,9 +378,9 @@ mod tests {
     use crate::sweep::{BeamRow, Buffers, HeapBuffers, Shape, SweepMut};
 
     /// A word, bit r for row r, of the ground in a column of points: distance and height from a
-    /// sensor 1.7 m up. It is put into several columns of a strip, and seen with the sensor upright
-    /// and tilted.
-    fn climbed(level: Level, column: &[(f64, f64)]) -> u32 {
+    /// sensor this high over the ground. It is put into several columns of a strip, and seen with
+    /// the sensor upright and tilted.
+    fn climbed(level: Level, sensor_m: f32, column: &[(f64, f64)]) -> u32 {
         let mut found = Vec::new();
         for tilt in [0.0, 0.1_f64] {
             let shape = Shape {
@@ -323,7 +410,7 @@ mod tests {
                 ..Mount::default()
             };
             let mut climb = Climb {
-                height_m: Some(1.7),
+                height_m: Some(sensor_m),
                 ..Climb::default()
             };
             let sweep = sweep.as_ref();
@@ -331,7 +418,7 @@ mod tests {
                 let mut beams = Beams::default();
                 beams.begin(&sweep, Some(STRIP), &mount);
                 beams.look_up(simd, &sweep, STRIP);
-                climb.next(simd, &SlopeGround::default(), &beams, &ranges, STRIP);
+                climb.next(simd, &beams, &ranges, STRIP);
             });
             found.extend(places.map(|place| {
                 let bit = |row: usize| (ground(&climb, row) >> place & 1) as u32;
@@ -350,14 +437,28 @@ mod tests {
         here >> AHEAD | ahead << (STRIP - AHEAD)
     }
 
-    fn find(column: &[(f64, f64)]) -> u32 {
+    fn find_from(sensor_m: f32, column: &[(f64, f64)]) -> u32 {
         let mut found: Vec<u32> = levels()
             .into_iter()
-            .map(|level| climbed(level, column))
+            .map(|level| climbed(level, sensor_m, column))
             .collect();
         found.dedup();
         assert_eq!(found.len(), 1, "{found:?}");
         found[0]
+    }
+
+    /// With a sensor 1.7 m up.
+    fn find(column: &[(f64, f64)]) -> u32 {
+        find_from(1.7, column)
+    }
+
+    /// With a sensor 0.4 m up; heights are over the ground.
+    fn find_low(column: &[(f64, f64)]) -> u32 {
+        let column: Vec<(f64, f64)> = column
+            .iter()
+            .map(|&(away_m, up_m)| (away_m, up_m - 0.4))
+            .collect();
+        find_from(0.4, &column)
     }
 
     /// Top row first: road, a car on it, and road behind the car.
@@ -401,19 +502,27 @@ mod tests {
             .into_iter()
             .chain([(3.2, -1.7), (2.9, -1.71)])
             .collect();
-        assert_eq!(find(&column), 0b1111 << 18);
+        assert_eq!(find(&column), 0b111 << 19);
     }
 
-    /// A kerb whose face four beams meet is ground as a whole.
+    /// A kerb whose face four beams meet is ground as a whole, if enough of the pavement is seen.
     #[test]
     fn the_face_of_a_near_kerb_is_ground() {
         let face = [(5.0, -1.58), (5.0, -1.61), (5.0, -1.64), (5.0, -1.67)];
-        let column: Vec<(f64, f64)> = [(5.6, -1.57), (5.3, -1.575)]
-            .into_iter()
-            .chain(face)
-            .chain([(4.8, -1.7)])
-            .collect();
-        assert_eq!(find(&column), 0b111_1111);
+        let seen = |pavement: &[(f64, f64)]| {
+            let column: Vec<(f64, f64)> = pavement
+                .iter()
+                .copied()
+                .chain(face)
+                .chain([(4.8, -1.7)])
+                .collect();
+            find(&column)
+        };
+        assert_eq!(
+            seen(&[(6.0, -1.57), (5.6, -1.57), (5.3, -1.575)]),
+            0b1111_1111
+        );
+        assert_eq!(seen(&[(5.6, -1.57), (5.3, -1.575)]), 1 << 6);
     }
 
     /// A kerb of 12 cm with a pavement behind it; the same with a box behind it; a wall of 50 cm
@@ -432,5 +541,129 @@ mod tests {
             find(&[(9.0, -1.2), (8.3, -1.2), (8.02, -1.2), (7.9, -1.7)]),
             0b1000
         );
+    }
+
+    /// A box of 0.3 m by 0.25 m, 1 m away, which hides all floor before it.
+    #[test]
+    fn a_box_is_an_object_with_what_lies_on_top_of_it() {
+        let face = [(1.0, 0.242), (1.0, 0.206), (1.0, 0.169), (1.0, 0.132)];
+        let column: Vec<(f64, f64)> = [(7.63, 0.0), (4.57, 0.0), (1.22, 0.25)]
+            .into_iter()
+            .chain(face)
+            .collect();
+        assert_eq!(find_low(&column), 0b11);
+    }
+
+    /// What lies level on a high face is no floor, however little it rises from row to row.
+    #[test]
+    fn the_top_of_a_table_is_no_ground() {
+        let table = [
+            (4.57, 0.0),
+            (2.29, 0.32),
+            (1.53, 0.32),
+            (1.4, 0.277),
+            (1.4, 0.228),
+        ];
+        let floor = [(1.4, 0.033), (1.2, 0.0)];
+        let column: Vec<(f64, f64)> = table.into_iter().chain(floor).collect();
+        assert_eq!(find_low(&column), 0b100_0001);
+    }
+
+    /// A pallet 2 m away, 0.144 m high: its foot is ground.
+    #[test]
+    fn a_pallet_is_an_object() {
+        let pallet = [(2.085, 0.144), (2.0, 0.083), (2.0, 0.011)];
+        let column: Vec<(f64, f64)> = [(7.63, 0.0), (4.57, 0.0)]
+            .into_iter()
+            .chain(pallet)
+            .chain([(1.733, 0.0), (1.493, 0.0)])
+            .collect();
+        assert_eq!(find_low(&column), 0b111_0011);
+    }
+
+    /// A kerb of 0.12 m, 2 m away, and its pavement: as the pallet, but it goes on.
+    #[test]
+    fn a_pavement_is_ground() {
+        let pavement = [(5.34, 0.12), (3.2, 0.12), (2.28, 0.12)];
+        let column: Vec<(f64, f64)> = pavement
+            .into_iter()
+            .chain([(2.0, 0.083), (2.0, 0.011), (1.733, 0.0), (1.493, 0.0)])
+            .collect();
+        assert_eq!(find_low(&column), 0b111_1111);
+        // An island of which one return is seen could be a box.
+        let island = [(7.63, 0.0), (4.57, 0.0)];
+        let column: Vec<(f64, f64)> = island.into_iter().chain(column[2..].to_vec()).collect();
+        assert_eq!(find_low(&column), 0b111_0011);
+    }
+
+    /// Ramps of 1:12 and 15 % from 2 m on.
+    #[test]
+    fn a_ramp_is_ground() {
+        let low = [
+            (5.62, 0.302),
+            (4.176, 0.181),
+            (3.318, 0.11),
+            (2.75, 0.062),
+            (2.345, 0.029),
+        ];
+        let steep = [
+            (4.18, 0.327),
+            (3.458, 0.219),
+            (2.947, 0.142),
+            (2.566, 0.085),
+            (2.27, 0.04),
+        ];
+        for ramp in [low, steep] {
+            let column: Vec<(f64, f64)> = ramp
+                .into_iter()
+                .chain([(2.04, 0.004), (1.733, 0.0), (1.493, 0.0)])
+                .collect();
+            assert_eq!(find_low(&column), 0b1111_1111);
+        }
+    }
+
+    /// The floor is 0.2 m lower from 3 m on.
+    #[test]
+    fn a_step_down_is_ground_on_both_sides() {
+        let column = [
+            (11.45, -0.2),
+            (6.86, -0.2),
+            (4.89, -0.2),
+            (2.525, 0.0),
+            (2.058, 0.0),
+        ];
+        assert_eq!(find_low(&column), 0b1_1111);
+    }
+
+    /// The only row that meets a low box rises less than a kerb is high, but comes down again.
+    #[test]
+    fn what_rises_a_little_is_no_ground_if_the_column_comes_down_again() {
+        let with_box = [
+            (7.63, 0.0),
+            (4.57, 0.0),
+            (2.4, 0.105),
+            (2.058, 0.0),
+            (1.733, 0.0),
+        ];
+        assert_eq!(find_low(&with_box), 0b1_1011);
+        let up = [
+            (6.0, 0.11),
+            (3.4, 0.107),
+            (2.4, 0.105),
+            (2.058, 0.0),
+            (1.733, 0.0),
+        ];
+        assert_eq!(find_low(&up), 0b1_1111);
+    }
+
+    /// Rows 3 cm apart on a slope of 30 degrees: each rise is within the noise.
+    #[test]
+    fn small_rises_of_near_rows_do_not_add_up_to_a_way() {
+        let slope: Vec<(f64, f64)> = (1..20)
+            .rev()
+            .map(|step| (2.0 + 0.026 * f64::from(step), 0.015 * f64::from(step)))
+            .collect();
+        let found = find_low(&[&slope[..], &[(2.0, 0.0), (1.8, 0.0)]].concat());
+        assert_eq!(found, 0b111 << 18);
     }
 }

@@ -2,7 +2,6 @@
 
 use std::f32::consts::FRAC_PI_2;
 
-use super::ground::SlopeGround;
 use super::joining::Joining;
 use super::mask::Mask;
 use super::mount::Mount;
@@ -29,8 +28,6 @@ pub struct Config {
     /// Two neighbours belong together when the line through them meets the longer beam at more than
     /// this angle, radians.
     pub theta_rad: f32,
-    /// Ground by [`Method::Slope`].
-    pub slope: SlopeGround,
     /// What is joined, beside the angle, after [`Method::Slope`].
     pub joining: Joining,
     /// Ground by [`Method::Paper`].
@@ -52,7 +49,6 @@ impl Default for Config {
         Self {
             method: Method::Slope,
             theta_rad: 10_f64.to_radians() as f32,
-            slope: SlopeGround::default(),
             joining: Joining::default(),
             paper: PaperGround::default(),
             min_points: 10,

@@ -1,69 +1,71 @@
-//! Ground by slope: each column is climbed from its lowest row, and what rises too steeply is no
-//! ground. Then each row is asked whether its neighbours agree.
+//! The rule of the ground, and its numbers.
 //!
-//! The `climb` starts at the sensor's foot, the point of the ground straight below it, and goes on
-//! from each ground point to the next. So it needs the sensor's height, and holds for sparse
-//! sensors, whose first ground point is metres out. Columns do not look at each other while they
-//! climb; in the `vote` they do. This file has the limits of both.
+//! The `climb` follows each column from the ground straight below the sensor outwards. It holds a
+//! return against the *foothold*, the ground return before it:
 //!
-//! Both compare whole steps in 16 bits. The vote has those of ranges, of 7.8 mm. For the climb,
-//! heights and what the steepest way rises are in steps of 2 mm, distances in steps of 7.8 mm; where
-//! `max_slope` is more than 1 to 4, steps are as much longer as the way rises more in 256 m.
+//! * One that lies no higher, or nearly so, is ground.
+//! * One that lies a little higher waits for what the column shows behind it. It is *in doubt* where
+//!   the way to it is gentle, else it is *low*.
+//! * One that lies higher is an object.
+//!
+//! What waits is ground where the way goes on level behind it: a kerb, a ramp. It is an object where
+//! the column comes down again first: a box. Where the column shows neither, what is in doubt is
+//! ground, and what is low is an object.
+//!
+//! Returns that rise steeply over the one below them are a *face*. A face as low as a kerb is low,
+//! and a higher one is an object, with what goes on level on top of it.
+//!
+//! So the climb needs the sensor's height, and holds for sparse sensors, whose first ground return
+//! is metres out. Columns do not look at each other while they climb; in the `vote` they do.
+//!
+//! All is in whole steps of 16 bits. A step of a height is what the steepest way rises in a step of
+//! a distance: so a distance in steps is the highest rise on it.
 
-use super::joining::DENSE_DEG;
-use crate::sweep::BeamRow;
+/// Steepest way from one ground return to the next, metres a metre.
+const MAX_SLOPE: f32 = 0.2;
 
-/// What counts as ground.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SlopeGround {
-    /// Steepest way from one ground point to the next, up or down, metres a metre.
-    pub max_slope: f32,
-    /// Highest rise from one ground point to the next, however far apart they are, metres; `None`
-    /// chooses by the rows of the image: see [`SlopeGround::max_rise_m`]. A fall has no such limit.
-    pub max_rise_m: Option<f32>,
-    /// Rise or fall that is allowed at any distance: the noise of near points, metres.
-    pub min_rise_m: f32,
-    /// What rises higher than this over its foot, at more than 45 degrees, is an object, metres.
-    pub max_step_m: f32,
-    /// A step that is no higher than this is a kerb when the ground goes on level behind it,
-    /// metres.
-    pub max_kerb_m: f32,
-    /// Neighbours in a row whose ranges differ by less vote on each other, metres; 0 turns the vote
-    /// off. Of the three on either side, three that are ground make a point ground, and one at most
-    /// of four or more unmakes it.
-    pub agree_m: f32,
+/// Steps of a distance from the plumb line in a metre.
+pub(super) const AWAY_STEPS: f32 = 128.0;
+/// Steps of a height in a metre.
+pub(super) const HEIGHT_STEPS: f32 = AWAY_STEPS / MAX_SLOPE;
+/// Steps of a height in a step of a distance.
+pub(super) const STEEP: i16 = (1.0 / MAX_SLOPE) as i16;
+
+/// A distance in steps.
+const fn away(metres: f32) -> i16 {
+    (metres * AWAY_STEPS + 0.5) as i16
 }
 
-impl Default for SlopeGround {
-    fn default() -> Self {
-        Self {
-            max_slope: 0.2,
-            max_rise_m: None,
-            min_rise_m: 0.07,
-            max_step_m: 0.05,
-            max_kerb_m: 0.28,
-            agree_m: 0.5,
-        }
-    }
+/// A height in steps.
+const fn height(metres: f32) -> i16 {
+    (metres * HEIGHT_STEPS + 0.5) as i16
 }
 
-impl SlopeGround {
-    /// Highest rise from one ground point to the next where rows are [this far
-    /// apart](rows_apart_rad), metres: what is configured, else 0.3 where rows are dense, and 0.15
-    /// where they are sparse, so that the next point may lie on what stands there.
-    pub fn max_rise_m(&self, rows_apart_rad: f32) -> f32 {
-        let are_dense = rows_apart_rad <= DENSE_DEG.to_radians();
-        self.max_rise_m
-            .unwrap_or(if are_dense { 0.3 } else { 0.15 })
-    }
-}
+/// Highest rise over the foothold, and deepest fall that is allowed at any distance.
+pub(super) const MAX_RISE: i16 = height(0.3);
+/// Half of that rise is the highest where the foothold is a return that is as far before as this:
+/// what rises there may stand on ground that is not seen.
+pub(super) const NEAR: i16 = away(3.0);
+/// Rise that is none: the noise of ranges, and how far apart level returns may be.
+pub(super) const MIN_RISE: i16 = height(0.07);
+/// Nor is a rise one that is halved so often from what the steepest way rises: 2.5 %.
+pub(super) const FLAT_SHIFT: u32 = 3;
+/// A face rises higher than this over its foot, and more than it lies behind it and this: the
+/// noise of ranges.
+pub(super) const MAX_STEP: i16 = height(0.05);
+/// A kerb may lean this far towards the sensor.
+pub(super) const MAX_LEAN: i16 = away(0.05);
+/// Of a face, what is no higher than this over the foothold is ground.
+pub(super) const MAX_FOOT: i16 = height(0.02);
+/// Highest kerb.
+pub(super) const MAX_KERB: i16 = height(0.2);
+/// How far the way has to go on level behind what waits. Lower boxes that are deeper than this are
+/// taken for kerbs.
+pub(super) const PLATEAU: i16 = away(0.7);
+/// How far what lies level on an object belongs to it.
+pub(super) const MAX_TOP: i16 = away(1.5);
 
-/// How far apart rows are, in the mean, radians. Ground is followed through all rows, so the wide
-/// steps count as well: those of a VLP-32C are 1.3 degrees apart, though most of its rows are dense.
-pub fn rows_apart_rad(beams: &[BeamRow]) -> f32 {
-    let steps = beams.len().saturating_sub(1).max(1) as f32;
-    match beams {
-        [top, .., bottom] => (top.elevation_rad - bottom.elevation_rad).abs() / steps,
-        _ => 0.0,
-    }
-}
+/// Neighbours in a row whose ranges differ by less than this many metres vote on each other. Of the
+/// three on either side, three that are ground make a return ground, and one at most of four or
+/// more unmakes it.
+pub(super) const AGREE_M: f32 = 0.5;

@@ -51,7 +51,6 @@ mod vote;
 mod windows;
 
 pub use config::{Config, ConfigError, Method};
-pub use ground::SlopeGround;
 pub use joining::Joining;
 pub use mask::{Mask, MaskError};
 pub use mount::{HeightEstimator, Mount};

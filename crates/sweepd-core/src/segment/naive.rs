@@ -6,9 +6,11 @@
 
 use std::collections::{HashMap, VecDeque};
 
-use super::climb::{STEPS_AWAY, Steps};
 use super::config::Config;
-use super::ground::{SlopeGround, rows_apart_rad};
+use super::ground::{
+    AGREE_M, AWAY_STEPS, FLAT_SHIFT, HEIGHT_STEPS, MAX_FOOT, MAX_KERB, MAX_LEAN, MAX_RISE,
+    MAX_STEP, MAX_TOP, MIN_RISE, NEAR, PLATEAU, STEEP,
+};
 use super::joining;
 use super::near::{Limits, Polygon, Tangents};
 use super::order::Order;
@@ -36,17 +38,16 @@ pub fn segment(sweep: &SweepRef<'_>, config: &Config, height_m: Option<f32>) -> 
     };
     let image = Image {
         rows: sweep.rows(),
-        rows_apart_rad: rows_apart_rad(sweep.beams),
         columns,
         circular,
         pixels: &pixels,
         jumps: (0..columns).map(is_jump).collect(),
     };
     let climbed = match height_m {
-        Some(height_m) => climb(&image, &config.slope, height_m),
+        Some(height_m) => climb(&image, height_m),
         None => vec![false; pixels.len()],
     };
-    let ground = vote(&image, &climbed, &config.slope);
+    let ground = vote(&image, &climbed);
     let on: Vec<bool> = pixels
         .iter()
         .zip(&ground)
@@ -67,7 +68,6 @@ pub fn segment(sweep: &SweepRef<'_>, config: &Config, height_m: Option<f32>) -> 
 /// The image: what may be labelled, and which pixels are how far apart.
 struct Image<'a> {
     rows: usize,
-    rows_apart_rad: f32,
     columns: usize,
     circular: bool,
     pixels: &'a [Option<Placed>],
@@ -93,15 +93,15 @@ impl Image<'_> {
 
 /// Of three neighbours on either side in the row whose range is alike, three that are ground make a
 /// pixel ground; one at most of four or more unmakes it.
-fn vote(image: &Image<'_>, climbed: &[bool], limits: &SlopeGround) -> Vec<bool> {
-    let agree = to_step(limits.agree_m).unsigned_abs();
+fn vote(image: &Image<'_>, climbed: &[bool]) -> Vec<bool> {
+    let agree = to_step(AGREE_M).unsigned_abs();
     let ballot = |pixel: usize, here: &Placed| {
         let voters = [-3, -2, -1, 1, 2, 3]
             .into_iter()
             .filter_map(|on| image.beside(pixel, 0, on));
         let like = voters.filter(|&other| {
             let apart = |there: Placed| to_step(here.range_m).abs_diff(to_step(there.range_m));
-            limits.agree_m > 0.0 && image.pixels[other].is_some_and(|there| apart(there) < agree)
+            image.pixels[other].is_some_and(|there| apart(there) < agree)
         });
         let votes: Vec<bool> = like.map(|other| climbed[other]).collect();
         let ayes = votes.iter().filter(|aye| **aye).count();
@@ -302,57 +302,196 @@ fn number(
     (0..component.len()).map(label).collect()
 }
 
-/// Ground by the climb of each column: see [`SlopeGround`]. All is in whole [`Steps`].
-fn climb(image: &Image<'_>, limits: &SlopeGround, height_m: f32) -> Vec<bool> {
+/// Ground by the climb of each column: see [`ground`](super::ground). All is in whole steps.
+fn climb(image: &Image<'_>, height_m: f32) -> Vec<bool> {
     let mut ground = vec![false; image.pixels.len()];
-    let steps = Steps::new(limits, image.rows_apart_rad, height_m);
     for column in 0..image.columns {
-        // How high the steepest way leads from the plumb line to there, and the height.
-        let mut foothold = (0, 0);
-        // The distance and the height.
-        let mut foot = (0, 0);
-        let mut face: Vec<usize> = Vec::new();
-        let mut edge: Option<(i16, i16)> = None;
-        for row in (0..image.rows).rev() {
-            let index = column * image.rows + row;
-            let Some(placed) = image.pixels[index] else {
-                continue;
-            };
-            let away = (placed.away_m * (steps.per_m / (1 << STEPS_AWAY) as f32)) as i16;
-            let way = (placed.away_m * (steps.per_m * limits.max_slope)) as i16;
-            let high = ((placed.height_m + height_m) * steps.per_m).round_ties_even() as i16;
-            let here = (way, high);
-
-            if let Some(top) = edge.take()
-                && high.saturating_sub(top.1).saturating_abs() < way - top.0
-            {
-                face.drain(..).for_each(|index| ground[index] = true);
-                foothold = top;
-            }
-
-            let way = way - foothold.0;
-            let rise = high.saturating_sub(foothold.1);
-            let highest = way.min(steps.max_rise).max(steps.min_rise);
-            let deepest = way.abs().max(steps.min_rise);
-            let walkable = rise < highest && rise.saturating_add(deepest) > 0;
-
-            let step_rise = high.saturating_sub(foot.1);
-            let is_steep = step_rise >> STEPS_AWAY > (away - foot.0).abs();
-            let is_low = rise > 0 && rise <= steps.max_kerb && way > steps.step_back;
-            if walkable && !(is_steep && step_rise > steps.max_step) {
-                ground[index] = true;
-                foothold = here;
-                face.clear();
-            } else if is_low {
-                face.push(index);
-                edge = Some(here);
-            } else {
-                face.clear();
-            }
-            if !is_steep {
-                foot = (away, high);
-            }
+        let spots = spots(image, column, height_m);
+        let mut climber = Climber::default();
+        for (spot, is_face) in spots.iter().zip(faces(&spots)) {
+            climber.step(*spot, is_face);
+        }
+        climber.settle(Verdict::Unknown);
+        for pixel in climber.ground {
+            ground[pixel] = true;
         }
     }
     ground
+}
+
+/// A return of a column.
+#[derive(Clone, Copy, Default)]
+struct Spot {
+    pixel: usize,
+    /// Distance from the plumb line in steps.
+    away: i16,
+    /// Height over the ground at the sensor in steps.
+    height: i16,
+}
+
+/// The returns of a column, from the lowest row up.
+fn spots(image: &Image<'_>, column: usize, height_m: f32) -> Vec<Spot> {
+    let pixels = (0..image.rows).rev().map(|row| column * image.rows + row);
+    let spot = |pixel: usize| {
+        let placed = image.pixels[pixel]?;
+        let height = (placed.height_m + height_m) * HEIGHT_STEPS;
+        Some(Spot {
+            pixel,
+            away: (placed.away_m * AWAY_STEPS) as i16,
+            height: height.round_ties_even() as i16,
+        })
+    };
+    pixels.filter_map(spot).collect()
+}
+
+/// Which returns of a column belong to faces: their foot, and what is steep over it, up to the last
+/// return that is high over it.
+fn faces(spots: &[Spot]) -> Vec<bool> {
+    let mut is_face = vec![false; spots.len()];
+    let mut foot = Spot::default();
+    let mut first = 0;
+    for (index, spot) in spots.iter().enumerate() {
+        let rise = spot.height.saturating_sub(foot.height);
+        let apart = (spot.away - foot.away).abs();
+        let is_steep = rise.saturating_add(MAX_STEP) > apart.saturating_mul(STEEP);
+        if !is_steep {
+            foot = *spot;
+            first = index;
+        } else if rise > MAX_STEP {
+            is_face[first..=index].fill(true);
+        }
+    }
+    is_face
+}
+
+/// Where the climb of a column has come to.
+#[derive(Default)]
+struct Climber {
+    foothold: Spot,
+    /// The last return that waits, or that lies on an object.
+    edge: Spot,
+    /// The distance of the first such return.
+    start_away: i16,
+    edge_is: Edge,
+    /// What waits.
+    waiting: Vec<Waiting>,
+    /// Pixels that are ground.
+    ground: Vec<usize>,
+}
+
+/// What the return before is.
+#[derive(Clone, Copy, Default, PartialEq)]
+enum Edge {
+    #[default]
+    Nothing,
+    Waiting,
+    OnObject,
+}
+
+struct Waiting {
+    pixel: usize,
+    in_doubt: bool,
+}
+
+/// What a column shows behind what waits.
+enum Verdict {
+    Ground,
+    Object,
+    /// Neither: what is in doubt is ground, what is low is not.
+    Unknown,
+}
+
+impl Climber {
+    /// Takes the next return.
+    fn step(&mut self, here: Spot, is_face: bool) {
+        let rise = here.height.saturating_sub(self.foothold.height);
+        let ahead = here.away - self.foothold.away;
+        if self.goes_on_level(here, is_face, rise) {
+            return;
+        }
+        let falls_little = rise.saturating_add(ahead.abs().max(MAX_RISE)) > 0;
+        let stands_apart = ahead >= NEAR && self.foothold.away > 0;
+        let max_rise = if stands_apart { MAX_RISE / 2 } else { MAX_RISE };
+        let walkable = falls_little && !is_face && rise < ahead.min(max_rise).max(MIN_RISE);
+        let flat = walkable && rise <= (ahead >> FLAT_SHIFT).max(MIN_RISE);
+        let foot = falls_little && is_face && rise <= MAX_FOOT;
+        let max_low = if is_face { MAX_KERB } else { MAX_RISE };
+        let low = (1..=max_low).contains(&rise) && ahead > -MAX_LEAN;
+        if flat || foot {
+            self.settle(Verdict::Unknown);
+            self.ground.push(here.pixel);
+            // Noise lifts no foothold.
+            if flat && rise <= ahead.max(0) {
+                self.foothold = here;
+            }
+        } else if walkable || low {
+            if self.edge_is != Edge::Waiting {
+                self.start_away = here.away;
+            }
+            self.wait(here, walkable);
+        } else {
+            self.settle(Verdict::Unknown);
+            self.start_away = here.away;
+            self.edge = here;
+            if is_face && rise > 0 {
+                self.edge_is = Edge::OnObject;
+            }
+        }
+    }
+
+    /// Takes a return that is level with what waits, or with the object. Or it says no: then the
+    /// return may have come down from there.
+    fn goes_on_level(&mut self, here: Spot, is_face: bool, rise: i16) -> bool {
+        let run = here.away - self.start_away;
+        if self.edge_is == Edge::Nothing || self.edge_is == Edge::OnObject && run >= MAX_TOP {
+            return false;
+        }
+        let apart = i32::from(here.height).abs_diff(self.edge.height.into());
+        let apart = apart.min(i16::MAX as u32) as i16;
+        if i32::from(rise).abs() < apart.into() {
+            let is_short = self.edge.away - self.start_away < PLATEAU;
+            self.settle(if is_short {
+                Verdict::Object
+            } else {
+                Verdict::Unknown
+            });
+            return false;
+        }
+        if is_face || apart >= (here.away - self.edge.away).max(MIN_RISE) {
+            return false;
+        }
+        if self.edge_is == Edge::OnObject {
+            self.edge = here;
+        } else if run < PLATEAU {
+            self.wait(here, false);
+        } else {
+            self.settle(Verdict::Ground);
+            self.ground.push(here.pixel);
+            self.foothold = here;
+        }
+        true
+    }
+
+    /// This return waits for what comes behind it.
+    fn wait(&mut self, here: Spot, in_doubt: bool) {
+        let pixel = here.pixel;
+        self.waiting.push(Waiting { pixel, in_doubt });
+        self.edge = here;
+        self.edge_is = Edge::Waiting;
+    }
+
+    /// Nothing waits any longer.
+    fn settle(&mut self, verdict: Verdict) {
+        for Waiting { pixel, in_doubt } in self.waiting.drain(..) {
+            let is_ground = match verdict {
+                Verdict::Ground => true,
+                Verdict::Object => false,
+                Verdict::Unknown => in_doubt,
+            };
+            if is_ground {
+                self.ground.push(pixel);
+            }
+        }
+        self.edge_is = Edge::Nothing;
+    }
 }

@@ -6,7 +6,6 @@ use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, f32x16, prelude::*, u32
 
 use super::config::Config;
 use super::directions::Directions;
-use super::ground::rows_apart_rad;
 use super::mount::Mount;
 use super::order::{AHEAD, LANES, MAX_ROWS, Order, STRIP};
 use super::ranges::Ranges;
@@ -18,8 +17,6 @@ use crate::sweep::{BeamRow, SweepRef};
 #[derive(Clone, Debug, Default)]
 pub(super) struct Beams {
     pub order: Order,
-    /// In the mean.
-    pub rows_apart_rad: f32,
     rows: Vec<Beam>,
     directions: Directions,
 }
@@ -129,7 +126,6 @@ impl Beams {
             .first()
             .map_or(0.0, |column| column.azimuth_rate_rad_s);
         self.order = Order::new(sweep, columns);
-        self.rows_apart_rad = rows_apart_rad(sweep.beams);
         self.rows.clear();
         self.rows.extend(
             sweep

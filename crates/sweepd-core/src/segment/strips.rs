@@ -148,7 +148,7 @@ impl Strips {
             let sweep = sweep.as_ref();
             // Each step by itself: together they are more than a compiler keeps in view.
             dispatch!(self.level, simd => self.read(simd, &sweep, config));
-            dispatch!(self.level, simd => self.climb(simd, config));
+            dispatch!(self.level, simd => self.climb(simd));
             self.at += 1;
             // The first only leads in.
             if self.at > 1 {
@@ -185,7 +185,7 @@ impl Strips {
         let jumps = self.jumps;
         let components = &mut self.components;
         dispatch!(self.level, simd => self.runs.advance(simd, window_rows, jumps, components));
-        dispatch!(self.level, simd => self.vote(simd, config));
+        dispatch!(self.level, simd => self.vote(simd));
         dispatch!(self.level, simd => self.join_neighbours(simd, config));
         dispatch!(self.level, simd => self.measure(simd));
         dispatch!(self.level, simd => self.join_windows(simd, config));
@@ -241,10 +241,9 @@ impl Strips {
     }
 
     #[inline(always)]
-    fn climb<S: Simd>(&mut self, simd: S, config: &Config) {
+    fn climb<S: Simd>(&mut self, simd: S) {
         let position = self.at * STRIP + AHEAD;
-        self.climb
-            .next(simd, &config.slope, &self.beams, &self.ranges, position);
+        self.climb.next(simd, &self.beams, &self.ranges, position);
     }
 
     /// Notes the depths of the columns that were read, of those that count.
@@ -289,12 +288,12 @@ impl Strips {
 
     /// The ground of the strip at hand, and what is none.
     #[inline(always)]
-    fn vote<S: Simd>(&mut self, simd: S, config: &Config) {
+    fn vote<S: Simd>(&mut self, simd: S) {
         let counted = self.counted();
         let joined = Order::columns_before(self.position(), self.beams.order.joined_end());
         for row in 0..self.beams.rows() {
             let climbed = self.climb.ground[row];
-            let ground = vote(simd, &config.slope, &self.ranges, row, climbed);
+            let ground = vote(simd, &self.ranges, row, climbed);
             let on = self.ranges.real[row][1] & !ground & joined;
             self.runs.set_row(simd, &self.ranges, row, on);
             if counted != 0 {

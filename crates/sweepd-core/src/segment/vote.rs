@@ -5,7 +5,7 @@
 
 use fearless_simd::{Simd, prelude::*};
 
-use super::ground::SlopeGround;
+use super::ground::AGREE_M;
 use super::order::{STRIP, Words, lane_of};
 use super::ranges::{Ranges, to_step};
 
@@ -14,20 +14,14 @@ const VOTERS: usize = 3;
 
 /// The ground of the strip at hand in a row, which is this before the vote.
 #[inline(always)]
-pub(super) fn vote<S: Simd>(
-    simd: S,
-    limits: &SlopeGround,
-    ranges: &Ranges,
-    row: usize,
-    ground: Words,
-) -> u64 {
+pub(super) fn vote<S: Simd>(simd: S, ranges: &Ranges, row: usize, ground: Words) -> u64 {
     let real = ranges.real[row];
     let asked = within_reach(ground);
     // All ground, or none near: nothing to vote on.
-    if asked == [0; 3] || asked == within_reach(real) || limits.agree_m <= 0.0 {
+    if asked == [0; 3] || asked == within_reach(real) {
         return ground[1];
     }
-    let agree = to_step(limits.agree_m);
+    let agree = to_step(AGREE_M);
     let mut ayes = Count::default();
     let mut votes = Count::default();
     for back in 1..=VOTERS {
@@ -119,10 +113,9 @@ mod tests {
                 ranges.steps[lane_of(0) + column - STRIP] = to_step(10.0);
             }
         }
-        let limits = SlopeGround::default();
         let mut found: Vec<u64> = levels()
             .into_iter()
-            .map(|level| dispatch!(level, simd => vote(simd, &limits, &ranges, 0, climbed)))
+            .map(|level| dispatch!(level, simd => vote(simd, &ranges, 0, climbed)))
             .collect();
         found.dedup();
         assert_eq!(found.len(), 1, "{found:?}");
