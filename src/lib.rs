@@ -93,5 +93,5 @@ pub const VERSION: &str = env!("SWEEPD_VERSION");
 pub use sweepd_client::{client, host, publish};
 pub use sweepd_core::{assemble, pipeline, segment, sensor, sweep, wire};
 #[cfg(feature = "lab")]
-pub use sweepd_lab::{cloud, score, simulate};
+pub use sweepd_lab::{cast, cloud, score, simulate};
 pub use sweepd_messages as messages;

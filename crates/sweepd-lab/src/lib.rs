@@ -1,9 +1,10 @@
-//! The laboratory of sweepd: sensors that are not there, clouds without packets, and scores against
-//! scans that people labelled.
+//! The laboratory of sweepd: sensors that are not there, clouds without packets, scores against scans
+//! that people labelled, and which obstacles are seen.
 
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 
+pub mod cast;
 pub mod cloud;
 pub mod score;
 pub mod simulate;
