@@ -1,0 +1,190 @@
+//! Which obstacles a sensor sees: prints the tables of "The smallest obstacle" in
+//! `docs/segmentation.md`.
+//!
+//! ```text
+//! cargo run --release --example obstacles
+//! ```
+//!
+//! Scenes are ray-cast, apart from the simulator, with noise of 1 cm; each sensor knows its mount.
+
+use std::collections::BTreeMap;
+
+use sweepd::cast::{Drawn, Kind, Scene, Sector, Sensor, Thing, kerb, ramp, small_box, step_down};
+use sweepd::sensor::Model;
+
+/// Heights of the mount, metres.
+const HEIGHTS_M: [f64; 4] = [0.2, 0.4, 0.9, 1.8];
+/// How far the near side of the box is away, metres.
+const BOX_AHEAD_M: [f64; 5] = [1.0, 2.0, 3.0, 5.0, 10.0];
+/// Boxes that are tried are this high, centimetres.
+const BOX_CM: std::ops::RangeInclusive<u32> = 3..=50;
+/// How a box is turned, radians, and how far its columns are shifted.
+const YAWS: [(f64, f64); 4] = [(0.0, 0.0), (0.4, 0.25), (0.8, 0.5), (1.2, 0.75)];
+/// How far things are away, metres.
+const THINGS_AHEAD_M: [f64; 12] = [1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0];
+/// How far ramps, kerbs and steps are away, metres.
+const GROUND_AHEAD_M: [f64; 2] = [1.5, 3.0];
+/// Where these are looked at: 60 degrees to either side.
+const AHEAD: Sector = Sector {
+    middle_rad: 0.0,
+    half_rad: std::f64::consts::FRAC_PI_3,
+    phase: 0.0,
+};
+/// Ground by how far ahead it changes, metres.
+type Changing = fn(f64) -> Scene;
+/// What is ground though it is not level with the floor: piece 2 of each scene, that of a ramp with
+/// the ramp itself.
+const GROUNDS: [(&str, Changing); 4] = [
+    ("ramp 1:12", |ahead_m| ramp(1.0 / 12.0, ahead_m)),
+    ("ramp 15 %", |ahead_m| ramp(0.15, ahead_m)),
+    ("pavement, kerb 0.12 m", kerb),
+    ("floor, step down 0.2 m", step_down),
+];
+
+/// Boxes that are drawn.
+const DRAWN: u64 = 1500;
+
+fn main() {
+    let mounts = Drawn::MODELS.map(|model| HEIGHTS_M.map(|height_m| (model, height_m)));
+    let lines = by_two(mounts.as_flattened(), |&(model, height_m)| {
+        lines(model, height_m)
+    });
+    println!("The smallest box, cm (0.4 m wide, 0.3 m deep), by its distance:\n");
+    let heading = BOX_AHEAD_M.map(|ahead_m| format!("{ahead_m} m"));
+    print_table(&heading, lines.iter().map(|[boxes, ..]| boxes));
+    println!("\nFrom where to where things are seen, m:\n");
+    let heading = Thing::ALL.map(Thing::name);
+    print_table(&heading, lines.iter().map(|[_, things, _]| things));
+    println!("\nShare of returns within 10 m that is ground, the least:\n");
+    let heading = GROUNDS.map(|(name, _)| name.to_owned());
+    print_table(&heading, lines.iter().map(|[.., grounds]| grounds));
+    print_drawn();
+}
+
+/// The results of a job for each of these, in their order; two at a time.
+fn by_two<T: Sync, R: Send>(of: &[T], job: impl Fn(&T) -> R + Sync) -> Vec<R> {
+    let (job, mut results) = (&job, Vec::new());
+    for two in of.chunks(2) {
+        std::thread::scope(|scope| {
+            let threads: Vec<_> = two
+                .iter()
+                .map(|one| scope.spawn(move || job(one)))
+                .collect();
+            for thread in threads {
+                results.push(
+                    thread
+                        .join()
+                        .expect("a thread that measures does not panic"),
+                );
+            }
+        });
+    }
+    results
+}
+
+/// A line of each table, from its first cell on.
+fn lines(model: Model, height_m: f64) -> [Vec<String>; 3] {
+    let mut sensor = Sensor::new(model, height_m);
+    let mut tables = [
+        BOX_AHEAD_M
+            .map(|ahead_m| smallest_box(&mut sensor, ahead_m))
+            .to_vec(),
+        Thing::ALL.map(|thing| reach(&mut sensor, thing)).to_vec(),
+        GROUNDS
+            .map(|(_, scene)| ground(&mut sensor, scene))
+            .to_vec(),
+    ];
+    for table in &mut tables {
+        table.insert(0, format!("{model}, {height_m} m"));
+    }
+    tables
+}
+
+fn print_table<'a>(heading: &[String], lines: impl Iterator<Item = &'a Vec<String>>) {
+    println!("| sensor, height | {} |", heading.join(" | "));
+    println!("|---|{}", "---|".repeat(heading.len()));
+    for line in lines {
+        println!("| {} |", line.join(" | "));
+    }
+}
+
+/// The least height from which on all boxes are seen, however they are turned.
+fn smallest_box(sensor: &mut Sensor, ahead_m: f64) -> String {
+    let mut is_seen = |cm: &u32| {
+        YAWS.iter().enumerate().all(|(number, &(yaw_rad, phase))| {
+            let height_m = f64::from(*cm) / 100.0;
+            let solids = vec![small_box(height_m, ahead_m + 0.15, yaw_rad)];
+            let sector = Sector {
+                phase,
+                ..Sector::around(&solids)
+            };
+            sensor.seed = number as u64;
+            sensor.look(&Scene::with(solids), &sector).sees(0)
+        })
+    };
+    let least_cm = BOX_CM.rev().take_while(|cm| is_seen(cm)).last();
+    least_cm.map_or("-".to_owned(), |cm| cm.to_string())
+}
+
+/// The longest way, in the steps of the table, on which all solids of a thing are seen.
+fn reach(sensor: &mut Sensor, thing: Thing) -> String {
+    let mut is_seen = |ahead_m: f64| {
+        let scene = Scene::with(thing.solids(ahead_m));
+        let view = sensor.look(&scene, &Sector::around(&scene.solids));
+        (0..scene.solids.len()).all(|solid| view.sees(solid))
+    };
+    let seen = THINGS_AHEAD_M.map(|ahead_m| (ahead_m, is_seen(ahead_m)));
+    let ways = seen.chunk_by(|a, b| a.1 == b.1).filter(|way| way[0].1);
+    let longest = ways.max_by_key(|way| way.len());
+    longest.map_or("-".to_owned(), |way| {
+        format!("{} to {}", way[0].0, way[way.len() - 1].0)
+    })
+}
+
+/// The least share over the distances.
+fn ground(sensor: &mut Sensor, scene: Changing) -> String {
+    let shares = GROUND_AHEAD_M.map(|ahead_m| {
+        let scene = scene(ahead_m);
+        let corners = &scene.ground.0;
+        // The faces of a kerb and of a step are no ground to drive on.
+        let pieces: &[usize] = match corners[0][0] == corners[1][0] {
+            true => &[2],
+            false => &[1, 2],
+        };
+        sensor.look(&scene, &AHEAD).ground_share(pieces)
+    });
+    let least = shares.into_iter().flatten().min_by(f64::total_cmp);
+    least.map_or("-".to_owned(), |share| format!("{share:.3}"))
+}
+
+/// How many boxes of the drawn ones are seen, by kind, and which are not.
+fn print_drawn() {
+    let numbers: Vec<u64> = (0..DRAWN).collect();
+    let judged = by_two(&numbers, |&number| {
+        let mut drawn = Drawn::new(number);
+        let view = drawn.look();
+        let is_seen = view.strikes(0).then(|| view.sees(0));
+        (drawn, is_seen, view.object_share(&[0, 1]).unwrap_or(0.0))
+    });
+    let floor = judged.iter().map(|(.., share)| *share);
+    let mut kinds = BTreeMap::<Kind, [usize; 2]>::new();
+    for (drawn, is_seen, _) in &judged {
+        if let Some(is_seen) = is_seen {
+            let [seen, all] = kinds.entry(drawn.kind()).or_default();
+            (*seen, *all) = (*seen + usize::from(*is_seen), *all + 1);
+        }
+    }
+    let [seen, all] = [0, 1].map(|at| kinds.values().map(|counts| counts[at]).sum::<usize>());
+    println!(
+        "\n{seen} of {all} random boxes are seen, {:.3}; by kind: {kinds:?}; of the floor within 10 m \
+         at most {:.4} of a scene is an object. Missed:\n",
+        seen as f64 / all as f64,
+        floor.fold(0.0, f64::max)
+    );
+    let missed = judged
+        .iter()
+        .filter(|(_, is_seen, _)| *is_seen == Some(false));
+    for (drawn, ..) in missed {
+        println!("* {drawn}");
+    }
+}
