@@ -19,6 +19,7 @@ mod hdl64e;
 mod leftover;
 mod matrix;
 mod objects;
+mod obstacles;
 mod pains;
 mod paper;
 mod promises;

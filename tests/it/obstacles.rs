@@ -1,0 +1,89 @@
+//! Which obstacles are seen, and what of a floor is taken for one, by scenes that are ray-cast apart
+//! from the simulator; `examples/obstacles.rs` prints more of them.
+
+use sweepd::cast::{Drawn, Scene, Sector, Sensor, kerb, ramp, step_down};
+
+/// Boxes that are drawn: more than half of them are struck well enough to count.
+const DRAWN: u64 = 250;
+/// How far ramps, kerbs and steps are away, metres.
+const AHEAD_M: [f64; 2] = [1.5, 3.0];
+
+#[test]
+#[ignore = "the ground rule that sees small obstacles follows"]
+fn boxes_are_seen() {
+    let judged = (0..DRAWN).filter_map(|number| {
+        let mut drawn = Drawn::new(number);
+        let view = drawn.look();
+        view.strikes(0).then(|| (view.sees(0), drawn))
+    });
+    let (seen, missed): (Vec<_>, Vec<_>) = judged.partition(|(is_seen, _)| *is_seen);
+    for (_, drawn) in &missed {
+        println!("missed: {drawn}");
+    }
+    let (seen, all) = (seen.len(), seen.len() + missed.len());
+    assert!(all >= 100, "{all}");
+    assert!(seen as f64 >= 0.95 * all as f64, "{seen} of {all}");
+}
+
+/// The least share of some pieces of the ground that is labelled ground, with its sensor.
+fn least_ground(
+    heights_m: &[f64],
+    pieces: &[usize],
+    scene: impl Fn(f64) -> Scene,
+) -> (f64, String) {
+    let mut least = (1.0, String::new());
+    for model in Drawn::MODELS {
+        for &height_m in heights_m {
+            for ahead_m in AHEAD_M {
+                let sector = Sector {
+                    middle_rad: 0.0,
+                    half_rad: 1.0,
+                    phase: 0.0,
+                };
+                let view = Sensor::new(model, height_m).look(&scene(ahead_m), &sector);
+                let what = format!("{model} {height_m} m up, {ahead_m} m ahead");
+                if let Some(share) = view.ground_share(pieces)
+                    && share < least.0
+                {
+                    least = (share, what);
+                }
+            }
+        }
+    }
+    least
+}
+
+#[test]
+#[ignore = "the ground rule that sees small obstacles follows"]
+fn ramps_are_ground() {
+    for slope in [1.0 / 12.0, 0.15] {
+        let (share, what) = least_ground(&[0.4, 0.9], &[1, 2], |ahead_m| ramp(slope, ahead_m));
+        assert!(share >= 0.95, "{slope}: {share} of {what}");
+    }
+}
+
+#[test]
+fn the_pavement_behind_a_kerb_is_ground() {
+    let (share, what) = least_ground(&[0.4, 0.9, 1.8], &[2], kerb);
+    assert!(share >= 0.95, "{share} of {what}");
+}
+
+#[test]
+#[ignore = "the ground rule that sees small obstacles follows"]
+fn the_floor_below_a_step_is_ground() {
+    let (share, what) = least_ground(&[0.4, 0.9, 1.8], &[2], step_down);
+    assert!(share >= 0.95, "{share} of {what}");
+}
+
+#[test]
+fn a_level_floor_is_no_object() {
+    for model in Drawn::MODELS {
+        for height_m in [0.2, 0.4, 0.9, 1.8] {
+            let mut scene = Scene::with(Vec::new());
+            scene.walls_m = 8.0;
+            let view = Sensor::new(model, height_m).look(&scene, &Sector::TURN);
+            let share = view.object_share(&[0, 1]).unwrap_or(0.0);
+            assert!(share <= 0.001, "{model} {height_m} m up: {share}");
+        }
+    }
+}
