@@ -1,4 +1,9 @@
-"""Says "stop" while an object reaches into a box ahead of the robot, and how old its newest return is: stop.py SENSOR."""
+"""Says "stop" while an object reaches into a box ahead of the robot, and how old its newest return is: stop.py SENSOR.
+
+The box stands on the floor: the robot's origin lies there, so `z_m` of `[sensor.mount]` is the height of the sensor over it.
+sweepd does not see what two rows of beams do not strike, nor all that is low: `cargo run --release --example obstacles`
+prints the smallest box by sensor, height and distance. Nor does it see holes and steps down.
+"""
 
 import sys
 import time
@@ -7,9 +12,8 @@ import numpy as np
 import sweepd
 from sweepd.layout import OBJECTS_NO_HEIGHT
 
-# The box in the frame of the robot, least and greatest x, y and z, metres; an object with more points than this counts.
-STOP_M = np.array([[-1.0, 0.5, 0.1], [1.0, 5.0, 2.0]])
-POINTS = 20
+# The box in the frame of the robot, least and greatest x (right), y (ahead) and z (up), metres.
+STOP_M = np.array([[-1.0, 0.5, 0.05], [1.0, 5.0, 2.0]])
 
 name = sys.argv[1]
 objects = sweepd.Client(name).objects()
@@ -20,11 +24,11 @@ while True:
         continue
     if message.has(OBJECTS_NO_HEIGHT):
         print(f"stop: the height of {name} is not known yet", flush=True)
+    if message.header["position_m"][2] <= 0:
+        print(f"stop: {name} has no z_m in [sensor.mount]: where is the floor?", flush=True)
     least_m, most_m = message.boxes("robot").transpose(1, 0, 2)
-    reaches = ((least_m < STOP_M[1]) & (most_m > STOP_M[0])).all(axis=1)
-    segments = message.objects["segment"]
     # Parts too: a wide object is told in parts first.
-    counts = reaches & (segments["points"] > POINTS)
-    for nearest_m, at_ns in zip(segments["nearest_m"][counts], message.when()[counts]):
+    reaches = ((least_m < STOP_M[1]) & (most_m > STOP_M[0])).all(axis=1)
+    for nearest_m, at_ns in zip(message.objects["segment"]["nearest_m"][reaches], message.when()[reaches]):
         age_ms = (time.time_ns() - int(at_ns)) / 1e6
         print(f"stop: an object at {nearest_m:.2f} m, seen {age_ms:.1f} ms ago", flush=True)

@@ -236,7 +236,7 @@ fn flat(value: &Value) -> Vec<f64> {
 }
 
 /// A message of now in which nothing is wrong: three objects and their labels. The box of `stop` has
-/// a part, an object with too few points, and beside it another one.
+/// a part and an object, and beside it there is another one.
 pub fn honest() -> Vec<u64> {
     let now_ns = SystemTime::UNIX_EPOCH.elapsed().unwrap().as_nanos() as i64;
     let object = |ordinal: u32| {

@@ -2,16 +2,19 @@
 //! newest return is:
 //!
 //!     cargo run --release -p sweepd-client --example stop -- roof
+//!
+//! The box stands on the floor: the robot's origin lies there, so `z_m` of `[sensor.mount]` is the
+//! height of the sensor over it. sweepd does not see what two rows of beams do not strike, nor all
+//! that is low: `cargo run --release --example obstacles` prints the smallest box by sensor, height
+//! and distance. Nor does it see holes and steps down.
 
 use std::time::{Duration, SystemTime};
 
 use sweepd_client::client::Client;
 use sweepd_core::sweep::objects::flags;
 
-/// The box in the frame of the robot, least and greatest x, y and z, metres; an object with more
-/// points than this counts.
-const STOP_M: [[f64; 3]; 2] = [[-1.0, 0.5, 0.1], [1.0, 5.0, 2.0]];
-const POINTS: u32 = 20;
+/// The box in the frame of the robot, least and greatest x (right), y (ahead) and z (up), metres.
+const STOP_M: [[f64; 3]; 2] = [[-1.0, 0.5, 0.05], [1.0, 5.0, 2.0]];
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let name = std::env::args().nth(1).ok_or("which sensor?")?;
@@ -26,8 +29,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             println!("stop: the height of {name} is not known yet");
         }
         let mount = view.header.mount();
+        if mount.position_m[2] <= 0.0 {
+            println!("stop: {name} has no z_m in [sensor.mount]: where is the floor?");
+        }
         // Parts too: a wide object is told in parts first.
-        for object in view.objects.iter().filter(|it| it.segment.points > POINTS) {
+        for object in view.objects {
             let [least_m, most_m] = mount.bounds(object.segment.min_m, object.segment.max_m);
             if (0..3).all(|at| least_m[at] < STOP_M[1][at] && most_m[at] > STOP_M[0][at]) {
                 let now_ns = SystemTime::UNIX_EPOCH.elapsed()?.as_nanos() as i64;
