@@ -17,6 +17,8 @@ mod native;
 mod objects;
 #[path = "consumers/page.rs"]
 mod page;
+#[path = "consumers/pallet.rs"]
+mod pallet;
 #[path = "consumers/programs.rs"]
 mod programs;
 #[path = "consumers/python.rs"]

@@ -10,11 +10,13 @@
 mod draw;
 mod scene;
 mod sensor;
+mod spin;
 mod things;
 mod view;
 
 pub use draw::{Drawn, Kind};
 pub use scene::{Ground, Ray, Scene, Solid, What};
 pub use sensor::{Sector, Sensor};
+pub use spin::Spin;
 pub use things::{KERB_M, STEP_M, Thing, kerb, ramp, small_box, step_down};
 pub use view::{Found, View};

@@ -12,7 +12,7 @@ use sweepd_core::wire::data::ReturnMode;
 use super::{Found, Ray, Scene, Solid, View, What};
 
 /// Turning rate, radians a second: 600 rpm.
-const RATE_RAD_S: f64 = 10.0 * TAU;
+pub(super) const RATE_RAD_S: f64 = 10.0 * TAU;
 
 /// A sensor that turns at 600 rpm and sends one return a shot.
 #[derive(Clone, Debug)]
@@ -123,7 +123,7 @@ impl Sensor {
     }
 
     /// The sensor in the frame of the robot.
-    fn pose(&self) -> Pose {
+    pub(super) fn pose(&self) -> Pose {
         let angles_rad = [0.0, self.pitch_rad, self.roll_rad];
         Pose::mounted(
             [0.0, 0.0, self.height_m as f32],
@@ -131,9 +131,14 @@ impl Sensor {
         )
     }
 
+    /// The beams, from the highest down.
+    pub(super) fn beams(&self) -> &[Beam] {
+        &self.beams
+    }
+
     /// What a beam measures at an azimuth, metres, what it met, and at which height over the floor.
     /// Whole units of the sensor, as in its packets. The pose is the sensor's.
-    fn shoot(
+    pub(super) fn shoot(
         &self,
         scene: &Scene,
         pose: &Pose,
