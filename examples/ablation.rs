@@ -80,7 +80,9 @@ fn main() -> Result<()> {
             .collect::<Vec<_>>(),
     );
     for (rule, worth) in RULES {
-        println!("\n### Chosen by the greatest {rule} of the others (`gap_m`, `small_reach_m`)");
+        println!(
+            "\n### Chosen by the greatest {rule} of the others (`max_gap_m`, `small_reach_m`)"
+        );
         for (step, [_, scored]) in STEPS.iter().zip(&measured) {
             print_left_out(64 / step, &grid, scored, worth);
         }
@@ -281,44 +283,56 @@ impl Variant {
     }
 }
 
+/// A parameter of the joins, and values that it has instead of its own.
+type Join = (&'static str, fn(&mut Joining) -> &mut f32, &'static [f32]);
+
+const JOINS: &[Join] = &[
+    (
+        "gap_rad",
+        |joining| &mut joining.gap_rad,
+        &[0.0, 0.025, 0.03, 0.04, 0.045],
+    ),
+    (
+        "min_gap_m",
+        |joining| &mut joining.min_gap_m,
+        &[0.0, 0.15, 0.35, 0.45],
+    ),
+    (
+        "max_gap_m",
+        |joining| &mut joining.max_gap_m,
+        &[0.45, 0.55, 0.75, 0.85],
+    ),
+    (
+        "small_area_m2",
+        |joining| &mut joining.small_area_m2,
+        &[0.0, 0.05, 0.2],
+    ),
+    (
+        "small_reach_m",
+        |joining| &mut joining.small_reach_m,
+        &[0.1, 0.2, 0.3, 0.4, 0.5],
+    ),
+];
+
 /// One change each.
 fn ingredients() -> Vec<Variant> {
     let mut variants = vec![Variant::ours("**default**", Config::default())];
-    for [columns, rows] in [[1, 1], [5, 2], [8, 2], [12, 1], [12, 2], [12, 3]] {
-        let name = format!("`columns` {columns}, `rows` {rows}");
-        variants.push(Variant::joining(name, |joining| {
-            (joining.columns, joining.rows) = (columns, rows)
-        }));
+    for &(name, field, values) in JOINS {
+        for &value in values {
+            let name = format!("`{name}` {value}");
+            variants.push(Variant::joining(name, |joining| *field(joining) = value));
+        }
     }
-    for gap_m in [0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0] {
-        variants.push(Variant::joining(format!("`gap_m` {gap_m}"), |joining| {
-            joining.gap_m = Some(gap_m)
-        }));
-    }
-    for points in [0, 10, 20, 30] {
+    for points in [0, 10, 30] {
         variants.push(Variant::joining(
             format!("`small_points` {points}"),
             |joining| joining.small_points = points,
         ));
     }
-    for reach_m in [0.1, 0.2, 0.3, 0.4, 0.5] {
-        variants.push(Variant::joining(
-            format!("`small_reach_m` {reach_m}"),
-            |joining| joining.small_reach_m = reach_m,
-        ));
-    }
-    for theta_deg in [0.001_f32, 5.0, 10.0, 15.0, 20.0] {
-        let note = if theta_deg < 1.0 {
-            ": the angle never refuses"
-        } else {
-            ""
-        };
-        let config = Config {
-            theta_rad: theta_deg.to_radians(),
-            ..Config::default()
-        };
-        variants.push(Variant::ours(format!("theta {theta_deg}°{note}"), config));
-    }
+    variants.push(Variant::joining(
+        "`small_points` 0, `small_area_m2` 0: small parts stay",
+        |joining| (joining.small_points, joining.small_area_m2) = (0, 0.0),
+    ));
     let paper = Config {
         method: Method::Paper,
         ..Config::default()
@@ -347,10 +361,10 @@ fn ingredients() -> Vec<Variant> {
 /// The variants that are chosen among.
 fn grid() -> Vec<Variant> {
     let mut variants = vec![Variant::ours("default", Config::default())];
-    for gap_m in [0.5, 0.6, 0.7, 0.8, 0.9] {
+    for gap_m in [0.45, 0.55, 0.65, 0.75, 0.85] {
         for reach_m in [0.15, 0.25, 0.35] {
             variants.push(Variant::joining(format!("{gap_m}, {reach_m}"), |joining| {
-                joining.gap_m = Some(gap_m);
+                joining.max_gap_m = gap_m;
                 joining.small_reach_m = reach_m;
             }));
         }
@@ -360,24 +374,19 @@ fn grid() -> Vec<Variant> {
 
 fn print_defaults() {
     let Config {
-        theta_rad,
         joining,
         min_points,
         ..
     } = Config::default();
-    let Joining {
-        columns,
-        rows,
-        small_points,
-        small_reach_m,
-        ..
-    } = joining;
-    let gaps = STEPS.map(|step| joining.gap_m(step == 1).to_string());
+    let mut joins = joining;
+    let joins: Vec<String> = JOINS
+        .iter()
+        .map(|(name, field, _)| format!("`{name}` {}", field(&mut joins)))
+        .collect();
     println!(
-        "Defaults: `columns` {columns}, `rows` {rows}, `gap_m` {} (64 / 32 / 16 rows), `small_points` {small_points}, \
-         `small_reach_m` {small_reach_m};\ntheta {:.0}°, `min_points` {min_points}.\n",
-        gaps.join(" / "),
-        theta_rad.to_degrees(),
+        "Defaults: {}, `small_points` {}, `min_points` {min_points}.\n",
+        joins.join(", "),
+        joining.small_points,
     );
 }
 

@@ -59,7 +59,7 @@
 //! | object | a segment, or a part of one, that is published while the head turns; in scores, points with one label of the truth |
 //! | drop | a datagram discarded by the kernel or by us |
 //! | loss | a packet missing by the sensor's clock |
-//! | gap | columns missing in a sweep; `gap_m` is the distance up to which returns are joined |
+//! | gap | columns missing in a sweep; of the segmenter: how far apart beside each other returns may be that are joined |
 //! | consumer | a program that reads sweeps from shared memory |
 //! | domain | the folder by which a daemon and its consumers find each other |
 //! | loan | shared memory for one sweep, filled before a consumer sees it |

@@ -270,21 +270,11 @@ fn options() {
         ),
         "option",
     );
-    let variants: [(&str, Change); 6] = [
+    let variants: [(&str, Change); 3] = [
         ("default", |_| {}),
-        ("small_points 0: small parts stay", |config| {
-            config.joining.small_points = 0
-        }),
-        ("columns 5, rows 2", |config| config.joining.columns = 5),
-        ("columns 1, rows 1", |config| {
-            (config.joining.columns, config.joining.rows) = (1, 1)
-        }),
-        ("columns 1, rows 1, no small parts", |config| {
-            (
-                config.joining.columns,
-                config.joining.rows,
-                config.joining.small_points,
-            ) = (1, 1, 0);
+        ("small parts stay", |config| {
+            config.joining.small_points = 0;
+            config.joining.small_area_m2 = 0.0;
         }),
         ("paper", |config| config.method = Method::Paper),
     ];

@@ -74,6 +74,9 @@ fn check(file: &Path) -> Result<(), CliError> {
     let free = free_bytes();
     describe_daemon(&mut text, &config, &mib(least, most), &free);
     print(&text)?;
+    for warning in &config.warnings {
+        complain("warning", warning);
+    }
     for missing in config.missing_on_this_host() {
         complain("warning", missing);
     }
@@ -199,13 +202,12 @@ fn mount(sensor: &SensorConfig) -> String {
 
 fn segments(sensor: &SensorConfig) -> String {
     let config = &sensor.pipeline.segment;
-    let method = match config.method {
-        Method::Slope => "slope",
-        Method::Paper => "paper",
+    let mut text = match config.method {
+        Method::Slope => "method slope".to_owned(),
+        Method::Paper => format!("method paper, theta {} degrees", degrees(config.theta_rad)),
     };
-    let theta = degrees(config.theta_rad);
     let points = config.min_points;
-    let mut text = format!("ground by {method}, theta {theta} degrees, {points} points at least");
+    text += &format!(", {points} points at least");
     let min_m = config.min_range_m;
     let max_m = config.max_range_m;
     if max_m.is_finite() {

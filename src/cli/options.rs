@@ -7,11 +7,11 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 
 use crate::admission::SensorFilter;
-use crate::cli::CliError;
+use crate::cli::{CliError, complain};
 use crate::files;
 use crate::suggest::nearest;
 use sweepd_core::pipeline;
-use sweepd_core::segment::settings::Unit;
+use sweepd_core::segment::settings::{REMOVED, Removed, Unit};
 use sweepd_core::segment::{self, SETTINGS, Setting};
 use sweepd_core::sensor::model::UnknownModel;
 use sweepd_core::sensor::{Calibration, Model};
@@ -133,15 +133,18 @@ pub struct SegmentOptions {
     pub mask: Option<PathBuf>,
 }
 
-/// The values of [`SETTINGS`] that were given as options.
+/// The values of [`SETTINGS`] that were given as options, and what was of [`REMOVED`].
 #[derive(Clone, Debug)]
-struct Numbers(Vec<(&'static Setting, f64)>);
+struct Numbers {
+    given: Vec<(&'static Setting, f64)>,
+    removed: Vec<&'static Removed>,
+}
 
 impl clap::Args for Numbers {
     fn augment_args(command: clap::Command) -> clap::Command {
-        SETTINGS
-            .iter()
-            .fold(command, |command, setting| command.arg(argument(setting)))
+        command
+            .args(SETTINGS.iter().map(argument))
+            .args(REMOVED.iter().map(removed_argument))
     }
 
     fn augment_args_for_update(command: clap::Command) -> clap::Command {
@@ -151,13 +154,15 @@ impl clap::Args for Numbers {
 
 impl clap::FromArgMatches for Numbers {
     fn from_arg_matches(matches: &clap::ArgMatches) -> Result<Self, clap::Error> {
-        let mut numbers = Vec::new();
+        let mut given = Vec::new();
         for setting in SETTINGS {
             if let Some(&value) = matches.get_one::<f64>(setting.option) {
-                numbers.push((setting, value));
+                given.push((setting, value));
             }
         }
-        Ok(Self(numbers))
+        let is_given = |removed: &&Removed| matches.contains_id(removed.option);
+        let removed = REMOVED.iter().filter(is_given).collect();
+        Ok(Self { given, removed })
     }
 
     fn update_from_arg_matches(&mut self, matches: &clap::ArgMatches) -> Result<(), clap::Error> {
@@ -186,6 +191,14 @@ fn argument(setting: &'static Setting) -> clap::Arg {
             Ok(value) if setting.allows(value) => Ok(value),
             _ => Err(format!("expected {}", setting.expected())),
         })
+}
+
+/// The option of an earlier version: it takes what it took, and is not shown.
+fn removed_argument(removed: &'static Removed) -> clap::Arg {
+    clap::Arg::new(removed.option)
+        .long(removed.option)
+        .hide(true)
+        .allow_negative_numbers(true)
 }
 
 impl SensorOptions {
@@ -244,8 +257,11 @@ impl SegmentOptions {
             mask,
             ..segment::Config::default()
         };
-        for &(setting, value) in &self.numbers.0 {
+        for &(setting, value) in &self.numbers.given {
             setting.set(&mut config, value);
+        }
+        for removed in &self.numbers.removed {
+            complain("warning", removed.warning(&format!("--{}", removed.option)));
         }
         match config.check() {
             Ok(()) => Ok(config),

@@ -5,7 +5,7 @@ mod journal;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
-use tracing::info;
+use tracing::{info, warn};
 use tracing_subscriber::EnvFilter;
 
 use self::journal::Prioritised;
@@ -70,6 +70,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         crate::VERSION,
         sensors.join(", ")
     );
+    config.warnings.iter().for_each(|what| warn!("{what}"));
     if args.config.is_none() {
         info!(
             "`sweepd watch {}` shows what comes of it",

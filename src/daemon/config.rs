@@ -40,6 +40,8 @@ pub struct Config {
     pub sensors: Vec<SensorConfig>,
     /// Where the datagrams of all sensors are recorded, if they are.
     pub record: Option<RecordConfig>,
+    /// Keys of earlier versions, which are accepted and do nothing: a line each, for people.
+    pub warnings: Vec<String>,
 }
 
 impl Config {

@@ -458,6 +458,7 @@ impl Control {
                 needs_restart,
             }) => {
                 info!("the configuration was read");
+                config.warnings.iter().for_each(|what| warn!("{what}"));
                 taken.iter().for_each(|what| info!("{what}"));
                 self.apply(config);
                 needs_restart.iter().for_each(|what| warn!("{what}"));

@@ -40,5 +40,6 @@ pub fn config_of(sensors: Vec<SensorConfig>) -> Config {
         },
         sensors,
         record: None,
+        warnings: Vec::new(),
     }
 }

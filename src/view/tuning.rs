@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::stage::{packed, sweep_bytes};
 use sweepd_client::host::monotonic_ns;
 use sweepd_core::pipeline::TimedSegmenter;
-use sweepd_core::segment::settings::{Table, Unit};
+use sweepd_core::segment::settings::{REMOVED, Table, Unit};
 use sweepd_core::segment::{Config, MAX_ROWS, Method, SETTINGS, Segmenter, Setting};
 use sweepd_core::sweep::buffers::HeapBuffer;
 use sweepd_core::sweep::layout::LayoutError;
@@ -41,6 +41,10 @@ impl Wish {
             config.method = *method;
         }
         for (key, value) in values {
+            // A page that was open before an upgrade.
+            if REMOVED.iter().any(|removed| removed.key == *key) {
+                continue;
+            }
             let setting = SETTINGS.iter().find(|setting| setting.key == *key);
             let setting = setting.ok_or("there is no such setting")?;
             match *value {

@@ -42,7 +42,7 @@ fn check_says_what_will_run_and_what_memory_it_takes() {
         "model          VLP-16; calibration of the model; one return, nearest segmented",
         "cut            at 90 degrees",
         "mount          x 0, y 0, z 1.5 m; roll 0, pitch -3, yaw 0 degrees; 1.2 m above ground",
-        "segments       ground by slope, theta 10 degrees, 10 points at least, 0 to 80 m",
+        "segments       method slope, 10 points at least, 0 to 80 m",
         "service        sweepd/rear/sweep, 4 consumers at most",
         "health         off",
         &recording,

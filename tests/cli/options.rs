@@ -144,6 +144,20 @@ fn the_examples_of_record_are_understood() {
     }
 }
 
+/// Scripts of earlier versions go on.
+#[test]
+fn options_that_are_gone_are_accepted_with_a_warning() {
+    for removed in sweepd::segment::settings::REMOVED {
+        let option = format!("--{}", removed.option);
+        let ran = replay(&fixture("street_vlp16.pcap.gz"), &[&option, "1"]);
+        assert_eq!(ran.code, 0, "{}", ran.stderr);
+        let warning = format!("warning: {}\n", removed.warning(&option));
+        assert!(ran.stderr.contains(&warning), "{}", ran.stderr);
+    }
+    let help = sweepd(&["replay", "--help"]).stdout;
+    assert!(!help.contains("--gap"), "{help}");
+}
+
 #[test]
 fn absurd_numbers_are_refused_with_what_was_expected() {
     let cases = [

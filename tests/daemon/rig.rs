@@ -195,6 +195,7 @@ pub fn config(sensors: Vec<SensorConfig>) -> Config {
         },
         sensors,
         record: None,
+        warnings: Vec::new(),
     }
 }
 

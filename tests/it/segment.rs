@@ -106,11 +106,12 @@ impl Scene {
             max_range_m,
             mask,
             joining: Joining {
-                columns: rng.usize(1..=12),
-                rows: rng.usize(1..=8),
-                gap_m: [None, Some(0.1), Some(2.0), Some(5.0), Some(f32::INFINITY)][rng.usize(..5)],
+                gap_rad: [0.0, 0.035, 0.2][rng.usize(..3)],
+                min_gap_m: [0.0, 0.25][rng.usize(..2)],
+                max_gap_m: [0.25, 0.65, 1.0][rng.usize(..3)],
                 small_points: [0, 1, 5, 22][rng.usize(..4)],
-                small_reach_m: [1.0, 5.0][rng.usize(..2)] * rng.f32(),
+                small_area_m2: [0.0, 0.1, 10.0][rng.usize(..3)],
+                small_reach_m: 0.4 * rng.f32(),
             },
             ..Config::default()
         }
@@ -730,25 +731,116 @@ fn an_empty_sweep_and_a_full_table_are_no_trouble() {
         }));
 }
 
-/// A sparse sensor, 1 m over a flat floor and 4 degrees nose up, with a box 3 m behind it across
-/// the seam: columns begin behind the sensor.
 #[test]
-fn a_reach_that_is_no_distance_is_refused() {
-    let of = |small_reach_m| {
-        let config = Config {
-            joining: Joining {
-                small_reach_m,
-                ..Joining::default()
-            },
-            ..Config::default()
-        };
+fn a_gap_that_is_no_distance_is_refused() {
+    let of = |change: fn(&mut Joining)| {
+        let mut config = Config::default();
+        change(&mut config.joining);
         Segmenter::new(config).map(|_| ())
     };
-    assert_eq!(of(0.0), Ok(()));
-    assert_eq!(of(-0.1), Err(ConfigError::SmallReach { found_m: -0.1 }));
-    assert!(of(f32::NAN).is_err());
+    assert_eq!(of(|joining| joining.small_reach_m = 0.0), Ok(()));
+    let changes: [fn(&mut Joining); 8] = [
+        |joining| joining.small_reach_m = -0.1,
+        |joining| joining.small_reach_m = f32::NAN,
+        |joining| joining.small_area_m2 = f32::NAN,
+        |joining| joining.gap_rad = -0.1,
+        |joining| joining.gap_rad = f32::NAN,
+        |joining| joining.min_gap_m = -0.1,
+        |joining| joining.min_gap_m = 0.7,
+        |joining| joining.max_gap_m = 1.1,
+    ];
+    for change in changes {
+        let error = of(change).unwrap_err();
+        assert!(matches!(error, ConfigError::Gap { .. }), "{error}");
+    }
 }
 
+/// Segments of boards before a sensor with rows of 0.4 degrees: how far away they stand, metres,
+/// and their columns and rows.
+fn segments_of(boards: &[(f32, std::ops::Range<usize>, std::ops::Range<usize>)]) -> u32 {
+    const COLUMNS: usize = 1800;
+    let shape = Shape {
+        rows: 32,
+        columns_capacity: COLUMNS,
+        dual: false,
+        segments_capacity: 50,
+    };
+    let mut buffer = HeapBuffers::default().take(shape.total_bytes());
+    let mut sweep = SweepMut::create(buffer.as_mut(), &shape).unwrap();
+    sweep.header.columns = COLUMNS as u32;
+    sweep.header.flags = flags::CIRCULAR;
+    for (row, beam) in sweep.beams.iter_mut().enumerate() {
+        *beam = BeamRow::new(&Beam::ideal(row, (6.4 - 0.4 * row as f64).to_radians()), 0);
+    }
+    for (index, column) in sweep.columns.iter_mut().enumerate() {
+        *column = Column::measured(0, 0, TAU * index as f32 / COLUMNS as f32, 62.8, 0);
+    }
+    for (away_m, columns, rows) in boards {
+        for column in columns.clone() {
+            for row in rows.clone() {
+                let cos = sweep.beams[row].elevation_rad.cos();
+                sweep.range[column * 32 + row] = away_m / cos;
+            }
+        }
+    }
+    label_of(&mut sweep, &Config::default());
+    sweep.header.segments
+}
+
+/// A column is 0.2 degrees.
+#[test]
+fn what_stands_side_by_side_is_parted_by_the_gap_that_the_sensor_sees() {
+    let side_by_side = |away_m: f32, apart_m: f32| {
+        let columns = (apart_m / away_m / 0.2_f32.to_radians()).round() as usize;
+        let second = 220 + columns;
+        segments_of(&[
+            (away_m, 200..221, 0..32),
+            (away_m, second..second + 21, 0..32),
+        ])
+    };
+    for (away_m, gap_m) in [(12.0, 0.42), (15.0, 0.52), (30.0, 0.65), (60.0, 0.65)] {
+        let step_m = away_m * 0.2_f32.to_radians();
+        let what = format!("{away_m} m away");
+        assert_eq!(side_by_side(away_m, gap_m - step_m), 1, "{what}");
+        assert_eq!(side_by_side(away_m, gap_m + 1.5 * step_m), 2, "{what}");
+    }
+    // One behind the other.
+    let behind = |away_m: f32, apart_m: f32| {
+        segments_of(&[
+            (away_m, 200..221, 0..32),
+            (away_m + apart_m, 221..242, 0..32),
+        ])
+    };
+    assert_eq!([behind(4.0, 0.2), behind(4.0, 0.3)], [1, 2]);
+    assert_eq!([behind(30.0, 0.6), behind(30.0, 0.7)], [1, 2]);
+}
+
+/// A row is 0.4 degrees.
+#[test]
+fn what_stands_above_the_other_is_one_thing() {
+    let above = |away_m: f32, second: usize| {
+        segments_of(&[(away_m, 200..250, 0..9), (away_m, 200..250, second..32)])
+    };
+    // Four rows apart, 0.28 m at 10 m, 0.98 m at 35 m, and 1.1 m at 40 m.
+    assert_eq!(
+        [10.0, 35.0, 40.0].map(|away_m| above(away_m, 12)),
+        [1, 1, 2]
+    );
+    // No window has the fifth.
+    assert_eq!(above(10.0, 13), 2);
+}
+
+/// What shows less than 0.1 m² is a part of what is near it, and a thing of its own elsewhere.
+#[test]
+fn what_shows_little_is_a_part_of_what_is_near() {
+    // A board of 0.09 m² at 5 m, 12 by 12 pixels, and a larger one so far behind it.
+    let behind =
+        |apart_m: f32| segments_of(&[(5.0, 200..212, 4..16), (5.0 + apart_m, 212..300, 0..32)]);
+    assert_eq!([behind(0.3), behind(0.55), behind(0.7)], [1, 1, 2]);
+}
+
+/// A sparse sensor, 1 m over a flat floor and 4 degrees nose up, with a box 3 m behind it across
+/// the seam: columns begin behind the sensor.
 #[test]
 fn sixteen_tilted_beams_see_a_floor_and_a_box() {
     const COLUMNS: usize = 900;

@@ -579,7 +579,7 @@ fn keys_time_line_and_sliders_do_what_they_say() {
     tab.value("document.querySelector('[data-tab=tuning]').click()");
     let slide = |value: &str| {
         format!(
-            "(() => {{ const {{ slider }} = window.sweepd.page.tuning.rows.get('gap_m'); \
+            "(() => {{ const {{ slider }} = window.sweepd.page.tuning.rows.get('min_points'); \
              slider.value = {value}; slider.dispatchEvent(new Event('input')); }})()"
         )
     };
@@ -616,7 +616,7 @@ fn keys_time_line_and_sliders_do_what_they_say() {
     tab.value("document.querySelector('[data-compare=after]').click()");
     tab.value("document.querySelector('[data-part=copy]').click()");
     tab.wait_for(
-        "document.querySelector('[data-part=configuration]').textContent.includes('gap_m')",
+        "document.querySelector('[data-part=configuration]').textContent.includes('min_points')",
     );
     let lines = tab.text("document.querySelector('[data-part=configuration]').textContent");
     assert!(lines.starts_with("[sensor.segment]"), "{lines}");

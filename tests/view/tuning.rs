@@ -150,7 +150,7 @@ fn the_lines_for_the_configuration_say_what_the_page_says() {
         .iter()
         .find(|row| row["key"] == "height_m");
     assert_eq!(height.unwrap()["now"], 1.8);
-    page.ask(json!({ "do": "tune", "method": "paper", "settings": { "gap_m": 1.25, "pitch_deg": -2.5, "max_range_m": 80 } }));
+    page.ask(json!({ "do": "tune", "method": "paper", "settings": { "min_points": 7, "pitch_deg": -2.5, "max_range_m": 80 } }));
     page.ask(json!({ "do": "configuration" }));
     let lines = page.next("configuration");
     let text = format!(
@@ -160,10 +160,7 @@ fn the_lines_for_the_configuration_say_what_the_page_says() {
     let config = DaemonConfig::parse(Path::new(""), &text).unwrap();
     let segment = &config.sensors[0].pipeline.segment;
     assert_eq!(segment.method, Method::Paper);
-    assert_eq!(
-        (segment.joining.gap_m, segment.max_range_m),
-        (Some(1.25), 80.0)
-    );
+    assert_eq!((segment.min_points, segment.max_range_m), (7, 80.0));
     assert_eq!(segment.mount.height_m, Some(1.8));
     assert!((segment.mount.pitch_rad.to_degrees() + 2.5).abs() < 1e-4);
     page.ask(json!({ "do": "tune", "method": "slope", "settings": { "height_m": null } }));

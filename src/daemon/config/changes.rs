@@ -265,6 +265,7 @@ impl Config {
             }
         }
         running.record.clone_from(&new.record);
+        running.warnings.clone_from(&new.warnings);
         running
     }
 

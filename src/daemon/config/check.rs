@@ -43,6 +43,7 @@ pub(super) fn check(reading: file::Reading, folder: &Path) -> Result<Config, Vec
         file,
         problems,
         replaced,
+        warnings,
     } = reading;
     let mut check = Check {
         folder,
@@ -64,6 +65,7 @@ pub(super) fn check(reading: file::Reading, folder: &Path) -> Result<Config, Vec
             daemon,
             sensors,
             record,
+            warnings,
         })
     } else {
         Err(check.problems)

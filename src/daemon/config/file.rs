@@ -9,7 +9,7 @@ use toml::de::{DeTable, DeValue};
 use super::error::Problem;
 use super::table::{FormProblems, TableReader};
 use sweepd_core::segment::Method;
-use sweepd_core::segment::settings::{SETTINGS, Setting, Table, Unit};
+use sweepd_core::segment::settings::{REMOVED, SETTINGS, Setting, Table, Unit};
 use sweepd_core::sweep::layout::ReturnChoice;
 
 /// Most problems of form that are shown.
@@ -24,6 +24,8 @@ pub struct Reading {
     /// Where something was passed over or stands for a required key: further problems of these
     /// places are no news.
     pub replaced: Vec<Range<usize>>,
+    /// What is accepted and does nothing, for people.
+    pub warnings: Vec<String>,
 }
 
 /// Reads a file past each unknown key, missing key and wrong type, so that all of them are found at
@@ -39,6 +41,7 @@ pub fn read(text: &str) -> Result<Reading, Vec<Problem>> {
     let FormProblems {
         mut problems,
         mut replaced,
+        warnings,
         ..
     } = form;
     if problems.len() >= MAX_PROBLEMS {
@@ -54,6 +57,7 @@ pub fn read(text: &str) -> Result<Reading, Vec<Problem>> {
         file,
         problems,
         replaced,
+        warnings,
     })
 }
 
@@ -225,6 +229,9 @@ pub struct Segment {
 impl Segment {
     fn read(mut table: TableReader<'_, '_, '_>) -> Self {
         let methods = [("slope", Method::Slope), ("paper", Method::Paper)];
+        for removed in REMOVED {
+            table.removed(removed.key, &removed.warning(removed.key));
+        }
         let segment = Self {
             method: table.choice("method", &methods),
             mask: table.text("mask"),

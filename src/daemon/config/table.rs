@@ -20,6 +20,8 @@ pub struct FormProblems<'a> {
     /// Where something was passed over or stands for a required key: further problems of these
     /// places are no news.
     pub replaced: Vec<Range<usize>>,
+    /// What is accepted and does nothing, with its line.
+    pub warnings: Vec<String>,
 }
 
 impl<'a> FormProblems<'a> {
@@ -29,6 +31,7 @@ impl<'a> FormProblems<'a> {
             text,
             problems: Vec::new(),
             replaced: Vec::new(),
+            warnings: Vec::new(),
         }
     }
 
@@ -91,6 +94,19 @@ impl<'a, 'p, 't> TableReader<'a, 'p, 't> {
     pub fn take(&mut self, key: &'static str) -> Option<Spanned<DeValue<'t>>> {
         self.known.push(key);
         self.table.remove(key)
+    }
+
+    /// Passes over a key of an earlier version, with a warning where it is written.
+    pub fn removed(&mut self, key: &str, warning: &str) {
+        if let Some((key, _)) = self.table.remove_entry(key) {
+            let before = self.problems.text.as_bytes().get(..key.span().start);
+            let line = 1 + before.map_or(0, |before| {
+                before.iter().filter(|&&byte| byte == b'\n').count()
+            });
+            self.problems
+                .warnings
+                .push(format!("line {line}: {warning}"));
+        }
     }
 
     /// The table of a key, to be read by `read`.

@@ -3,11 +3,14 @@ use std::path::Path;
 use proptest::prelude::*;
 
 use super::*;
+use sweepd_core::segment::settings::REMOVED;
 use sweepd_core::segment::{Method, SETTINGS};
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::layout::ReturnChoice;
 
 const EXAMPLE: &str = include_str!("../../../systemd/sweepd.toml");
+/// That of version 0.2.0, with all numbers of the segmenter set.
+const OLD_EXAMPLE: &str = include_str!("sweepd-0.2.0.toml");
 
 fn parse(text: &str) -> Result<Config, ConfigError> {
     Config::parse(Path::new("/nowhere/robot.toml"), text)
@@ -28,6 +31,29 @@ fn bad(text: &str) -> (Vec<usize>, String) {
 /// A sensor with these lines after its name and address.
 fn roof(more: &str) -> String {
     format!("[[sensor]]\nname = \"roof\"\naddress = \"192.168.1.201\"\n{more}")
+}
+
+/// An upgrade leaves no robot without its sensor.
+#[test]
+fn a_configuration_of_an_earlier_version_is_read_with_a_warning_for_each_key_that_is_gone() {
+    let config = good(OLD_EXAMPLE);
+    assert_eq!(config.warnings.len(), REMOVED.len());
+    for removed in REMOVED {
+        let is_key = |line: &&str| line.starts_with(&format!("{} = ", removed.key));
+        let line = OLD_EXAMPLE.lines().position(|line| is_key(&line)).unwrap() + 1;
+        let said = format!("line {line}: {}", removed.warning(removed.key));
+        assert!(
+            config.warnings.contains(&said),
+            "no {said:?} in {:?}",
+            config.warnings
+        );
+        // No key is both, and what a key of this version was set to is taken.
+        assert!(SETTINGS.iter().all(|setting| setting.key != removed.key));
+    }
+    assert_eq!(config.sensors[0].pipeline.segment.max_range_m, 100.0);
+    // It is still a key that is not known elsewhere.
+    let (lines, _) = bad(&roof("gap_m = 0.6"));
+    assert_eq!(lines, [4]);
 }
 
 #[test]

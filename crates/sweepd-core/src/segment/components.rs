@@ -6,13 +6,38 @@
 use fearless_simd::{Simd, f32x4, prelude::*};
 use zerocopy::FromZeros;
 
+use super::area;
+use super::joining::Joining;
 use super::points::RowPoints;
 use crate::sweep::Segment;
 use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_NONE};
 
+/// A component that has fewer returns than this, or shows less to the sensor, is no thing of its
+/// own but a part of the nearest one that is.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Small {
+    pub points: u32,
+    /// As [`area`] counts it.
+    pub area: u64,
+}
+
+impl Small {
+    pub fn new(joining: &Joining) -> Self {
+        Self {
+            points: joining.small_points,
+            area: area::of_m2(joining.small_area_m2),
+        }
+    }
+
+    pub fn is(self, points: u32, area: u64) -> bool {
+        points < self.points || area < self.area
+    }
+}
+
 /// All pieces of an image, and which of them belong together.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Components {
+    small: Small,
     /// A piece of the same component that began earlier, or the piece itself. At the end, of the
     /// root of a small component: the root of the one that it became part of.
     parent: Vec<u32>,
@@ -44,6 +69,8 @@ pub(super) struct Near {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sum {
     pub points: u32,
+    /// What they show to the sensor, as [`area`] counts it.
+    pub area: u64,
     /// Index of its first pixel in the planes.
     pub first: u32,
     pub rows: [u16; 2],
@@ -57,6 +84,7 @@ pub(super) struct Sum {
 impl Sum {
     pub const NONE: Self = Self {
         points: 0,
+        area: 0,
         first: u32::MAX,
         rows: [u16::MAX, 0],
         least_m: [f32::INFINITY; 4],
@@ -64,7 +92,7 @@ impl Sum {
         sum_m: [0.0; 3],
     };
 
-    /// What some columns of a row measure, at least one.
+    /// What some columns of a row measure, at least one; but for their area.
     #[inline(always)]
     pub fn of_run<S: Simd>(
         simd: S,
@@ -86,6 +114,7 @@ impl Sum {
         let [x, y, z, _]: [f32; 4] = total.to_array();
         Self {
             points: count as u32,
+            area: 0,
             first: first as u32,
             rows: [row as u16; 2],
             least_m: least.to_array(),
@@ -97,6 +126,7 @@ impl Sum {
     #[inline(always)]
     pub fn add<S: Simd>(&mut self, simd: S, other: &Self) {
         self.points += other.points;
+        self.area = self.area.saturating_add(other.area);
         self.first = self.first.min(other.first);
         self.rows = [
             self.rows[0].min(other.rows[0]),
@@ -129,8 +159,9 @@ impl Sum {
 }
 
 impl Components {
-    /// Takes room for as many pieces as an image can have.
-    pub fn reserve(&mut self, pixels: usize) {
+    /// Takes room for as many pieces as an image can have, and forgets all.
+    pub fn reserve(&mut self, pixels: usize, small: Small) {
+        self.small = small;
         super::order::reserve(&mut self.parent, pixels);
         super::order::reserve(&mut self.sums, pixels);
         super::order::reserve(&mut self.nears, pixels);
@@ -185,10 +216,11 @@ impl Components {
         self.sums[root as usize].add(simd, sum);
     }
 
-    /// Points that a component has by now; it never loses any.
+    /// Whether a component is small by now; one that is not never becomes it.
     #[inline(always)]
-    pub fn points(&self, root: u32) -> u32 {
-        self.sums[root as usize].points
+    pub fn is_small(&self, root: u32) -> bool {
+        let sum = &self.sums[root as usize];
+        self.small.is(sum.points, sum.area)
     }
 
     /// What a component measures so far.
@@ -246,18 +278,12 @@ impl Components {
     /// pixels, and writes their rows of the segments table, as far as it has room. How many there
     /// are.
     #[inline(always)]
-    pub fn finish<S: Simd>(
-        &mut self,
-        simd: S,
-        small_points: u32,
-        min_points: u32,
-        segments: &mut [Segment],
-    ) -> usize {
+    pub fn finish<S: Simd>(&mut self, simd: S, min_points: u32, segments: &mut [Segment]) -> usize {
         for piece in 0..self.parent.len() {
             // A parent comes earlier, so it knows its root already.
             self.parent[piece] = self.parent[self.parent[piece] as usize];
         }
-        self.find_nearest(small_points);
+        self.find_nearest();
         self.order.clear();
         for root in 0..self.parent.len() as u32 {
             let (_, _, large) = self.nearest[root as usize];
@@ -299,19 +325,18 @@ impl Components {
 
     /// Finds for the root of each small component the nearest that is not small, if one is near
     /// enough.
-    fn find_nearest(&mut self, small_points: u32) {
+    fn find_nearest(&mut self) {
         self.nearest.clear();
         self.nearest
             .resize(self.parent.len(), (f32::INFINITY, u32::MAX, u32::MAX));
         for near in &self.nears {
             let small = self.parent[near.small as usize];
             let large = self.parent[near.large as usize];
-            let large_sum = &self.sums[large as usize];
-            if self.sums[small as usize].points >= small_points || large_sum.points < small_points {
+            if !self.is_small(small) || self.is_small(large) {
                 continue;
             }
             let nearest = &mut self.nearest[small as usize];
-            let found = (near.apart2, large_sum.first, large);
+            let found = (near.apart2, self.sums[large as usize].first, large);
             if found < *nearest {
                 *nearest = found;
             }

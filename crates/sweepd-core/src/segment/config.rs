@@ -2,10 +2,9 @@
 
 use std::f32::consts::FRAC_PI_2;
 
-use super::joining::Joining;
+use super::joining::{Joining, MAX_GAP_M};
 use super::mask::Mask;
 use super::mount::Mount;
-use super::order::{MOST_COLUMNS, MOST_ROWS};
 use super::paper::ground::PaperGround;
 use crate::sweep::layout::is_return;
 
@@ -25,10 +24,10 @@ pub enum Method {
 pub struct Config {
     /// How ground is found.
     pub method: Method,
-    /// Two neighbours belong together when the line through them meets the longer beam at more than
-    /// this angle, radians.
+    /// By [`Method::Paper`], two neighbours belong together when the line through them meets the
+    /// longer beam at more than this angle, radians.
     pub theta_rad: f32,
-    /// What is joined, beside the angle, after [`Method::Slope`].
+    /// What is joined after [`Method::Slope`].
     pub joining: Joining,
     /// Ground by [`Method::Paper`].
     pub paper: PaperGround,
@@ -79,27 +78,16 @@ pub enum ConfigError {
         /// Metres.
         max_m: f32,
     },
-    /// The window.
+    /// What is joined.
     #[error(
-        "the window is {columns} columns and {rows} rows, expected 1 to {MOST_COLUMNS} and 1 to {MOST_ROWS}"
+        "the gap is {least_m} to {most_m} m, expected no less than 0, and with the reach of small components no more than \
+         {MAX_GAP_M}"
     )]
-    Window {
-        /// Columns to either side.
-        columns: usize,
-        /// Rows up and down.
-        rows: usize,
-    },
-    /// The gap.
-    #[error("the gap is {found_m} m, expected more than 0")]
     Gap {
         /// Metres.
-        found_m: f32,
-    },
-    /// How near another component has to be that a small one becomes part of.
-    #[error("the reach of small components beyond the gap is {found_m} m, expected 0 or more")]
-    SmallReach {
+        least_m: f32,
         /// Metres.
-        found_m: f32,
+        most_m: f32,
     },
     /// The mounting height.
     #[error("the sensor is mounted {found_m} m above the ground, expected more than 0")]
@@ -125,21 +113,11 @@ impl Config {
         if !(min_m >= 0.0 && min_m < max_m) {
             return Err(ConfigError::Range { min_m, max_m });
         }
-        let Joining {
-            columns,
-            rows,
-            gap_m,
-            small_reach_m: found_m,
-            ..
-        } = self.joining;
-        if !((1..=MOST_COLUMNS).contains(&columns) && (1..=MOST_ROWS).contains(&rows)) {
-            return Err(ConfigError::Window { columns, rows });
-        }
-        if let Some(found_m) = gap_m.filter(|gap_m| gap_m.is_nan() || *gap_m <= 0.0) {
-            return Err(ConfigError::Gap { found_m });
-        }
-        if found_m.is_nan() || found_m < 0.0 {
-            return Err(ConfigError::SmallReach { found_m });
+        if !self.joining.is_possible() {
+            return Err(ConfigError::Gap {
+                least_m: self.joining.min_gap_m,
+                most_m: self.joining.max_gap_m,
+            });
         }
         match self.mount.height_m {
             Some(found_m) if !(found_m > 0.0 && found_m.is_finite()) => {

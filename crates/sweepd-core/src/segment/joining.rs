@@ -2,21 +2,24 @@
 
 use std::f32::consts::TAU;
 
-use super::order::{MOST_COLUMNS, Order, STRIP};
+use super::order::{Order, STRIP};
 use crate::sweep::{BeamRow, Column};
 
-/// What is joined.
+/// What is joined: two returns that are beside each other, in plan, less apart than the gap, and at
+/// most 1 m above each other. How high a return is does not count beyond that.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Joining {
-    /// Columns that two points may be apart, 1 to 12.
-    pub columns: usize,
-    /// Rows that two points may be apart, 1 to 8.
-    pub rows: usize,
-    /// Distance that two points may be apart, metres; `None` chooses by how far rows are apart: see
-    /// [`Joining::gap_m`].
-    pub gap_m: Option<f32>,
+    /// The gap, as an angle seen from the sensor, radians.
+    pub gap_rad: f32,
+    /// The gap is no less than this near by, metres.
+    pub min_gap_m: f32,
+    /// The gap is no more than this far away, metres.
+    pub max_gap_m: f32,
     /// A component of fewer points is part of another one near by; 0 or 1 leaves all alone.
     pub small_points: u32,
+    /// One that shows less than this to the sensor, across the beams, is so too, m²; 0 leaves all
+    /// alone.
+    pub small_area_m2: f32,
     /// How near that has to be beyond the gap, metres.
     pub small_reach_m: f32,
 }
@@ -24,22 +27,29 @@ pub struct Joining {
 impl Default for Joining {
     fn default() -> Self {
         Self {
-            columns: MOST_COLUMNS,
-            rows: 2,
-            gap_m: None,
+            gap_rad: 2_f64.to_radians() as f32,
+            min_gap_m: 0.25,
+            max_gap_m: 0.65,
             small_points: 22,
+            small_area_m2: 0.1,
             small_reach_m: 0.35,
         }
     }
 }
 
 impl Joining {
-    /// Distance that two points of an image may be apart, metres: the configured one, else 0.59
-    /// where [beams are dense](are_dense), and 0.785 where they are sparse.
-    pub fn gap_m(&self, are_dense: bool) -> f32 {
-        self.gap_m.unwrap_or(if are_dense { 0.59 } else { 0.785 })
+    /// Whether the numbers can be meant.
+    pub(super) fn is_possible(&self) -> bool {
+        let is_ordered = 0.0 <= self.min_gap_m && self.min_gap_m <= self.max_gap_m;
+        let is_within =
+            self.max_gap_m + self.small_reach_m <= MAX_GAP_M && self.small_reach_m >= 0.0;
+        let is_angle = (0.0..1.0).contains(&self.gap_rad);
+        is_angle && is_ordered && is_within && self.small_area_m2 >= 0.0
     }
 }
+
+/// Most that a gap can be with the reach of small components, metres.
+pub const MAX_GAP_M: f32 = 1.4;
 
 /// Rows of dense beams are no further apart than this, degrees: those of an HDL-64E are 0.3 to 0.5
 /// apart, those of an HDL-32E 1.33.

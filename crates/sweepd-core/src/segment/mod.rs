@@ -10,7 +10,7 @@
 //! find_ground   the ground of the next strip of columns                           ranges, points, climb
 //! join          what is no ground there: runs of neighbours, then windows         vote, runs, windows, near, components
 //! tell          objects that are complete, to the listener                      objects, seam
-//! label         components, small ones to others, labels and segments table       components, labels, extent
+//! label         components, small ones to others, labels and segments table       components, area, labels, extent
 //! ```
 //!
 //! * [`Method::Slope`], the default, is the files at the right: [`ground`] by slope from the
@@ -24,6 +24,7 @@
 //! [`settings`] is the table of numbers that people set. [`naive`] says the same as the default
 //! method without any of the speed, and the tests hold the two against each other.
 
+mod area;
 mod climb;
 mod components;
 mod config;
@@ -280,7 +281,7 @@ impl Segmenter {
     pub fn join(&mut self) {
         match self.config.method {
             Method::Paper => self.paper.join(&self.config),
-            Method::Slope => self.strips.join(&self.config),
+            Method::Slope => self.strips.join(),
         }
     }
 

@@ -6,14 +6,16 @@
 
 use std::collections::{HashMap, VecDeque};
 
+use super::area::Areas;
+use super::components::Small;
 use super::config::Config;
 use super::ground::{
     AGREE_M, AWAY_STEPS, FLAT_SHIFT, HEIGHT_STEPS, MAX_FOOT, MAX_KERB, MAX_LEAN, MAX_RISE,
     MAX_STEP, MAX_TOP, MIN_RISE, NEAR, PLATEAU, STEEP,
 };
 use super::joining;
-use super::near::{Limits, Polygon, Tangents};
-use super::order::Order;
+use super::near::{Gap, Limits, WindowRow};
+use super::order::{MOST_COLUMNS, Order};
 use super::points::{self, Placed};
 use super::ranges::to_step;
 use crate::sweep::SweepRef;
@@ -27,7 +29,9 @@ pub fn segment(sweep: &SweepRef<'_>, config: &Config, height_m: Option<f32>) -> 
     let order = Order::new(sweep, Some(columns));
     let pitch_rad = joining::pitch_rad(sweep.columns, order);
     let mut limits = Limits::default();
-    limits.set(sweep.beams, pitch_rad, config);
+    limits.set(sweep.beams, pitch_rad, &config.joining);
+    let mut areas = Areas::default();
+    areas.set(sweep.beams, pitch_rad);
     let is_jump = |column: usize| {
         let before = match column.checked_sub(1) {
             None if circular => columns - 1,
@@ -57,11 +61,10 @@ pub fn segment(sweep: &SweepRef<'_>, config: &Config, height_m: Option<f32>) -> 
         image: &image,
         on: &on,
         limits,
-        columns: config.joining.columns as i64,
-        rows: config.joining.rows as i64,
+        areas,
     };
     let component = near.components();
-    let component = near.small_to_large(component, config.joining.small_points);
+    let component = near.small_to_large(component, Small::new(&config.joining));
     number(&component, &ground, &pixels, config.min_points.max(1))
 }
 
@@ -123,9 +126,7 @@ struct Nearness<'a> {
     image: &'a Image<'a>,
     on: &'a [bool],
     limits: Limits,
-    /// Window.
-    columns: i64,
-    rows: i64,
+    areas: Areas,
 }
 
 impl Nearness<'_> {
@@ -141,14 +142,26 @@ impl Nearness<'_> {
     }
 
     /// The pixel there, if it is as near as this.
-    fn near(&self, pixel: usize, down: i64, on: i64, polygon: Polygon) -> Option<usize> {
-        let other = self.beside(pixel, down, on)?;
-        let here = to_step(self.range_m(pixel));
-        let there = to_step(self.range_m(other));
+    fn near(&self, pixel: usize, row: WindowRow, on: i64, gap: Gap) -> Option<usize> {
+        let other = self.beside(pixel, row.down as i64, on)?;
+        let [here, there] = [pixel, other].map(|pixel| {
+            self.limits
+                .flat_of(pixel % self.image.rows, self.steps(pixel))
+        });
         let columns = on.unsigned_abs() as usize;
-        polygon
-            .is_near(here, there, self.tangents(pixel, other), columns)
-            .then_some(other)
+        let is_near = self.limits.is_near(gap, [here, there], columns, row);
+        is_near.then_some(other)
+    }
+
+    /// The same in its own row and so many places up.
+    fn near_above(&self, pixel: usize, place: usize, on: i64) -> Option<usize> {
+        let row = self.limits.up(pixel % self.image.rows, place);
+        self.near(pixel, row, on, self.limits.gap)
+    }
+
+    /// The range of a pixel in steps.
+    fn steps(&self, pixel: usize) -> i16 {
+        to_step(self.range_m(pixel))
     }
 
     /// The range of a pixel; 0 where there is no return.
@@ -156,36 +169,35 @@ impl Nearness<'_> {
         self.image.pixels[pixel].map_or(0.0, |placed| placed.range_m)
     }
 
-    fn tangents(&self, pixel: usize, other: usize) -> &Tangents {
-        self.limits
-            .of(pixel % self.image.rows, other % self.image.rows)
-    }
-
     /// Whether a pixel continues the run to the left of it.
     fn goes_on(&self, pixel: usize) -> bool {
-        self.near(pixel, 0, -1, self.limits.gap).is_some()
+        self.near_above(pixel, 0, -1).is_some()
     }
 
     /// Whether the pixel above (-1) or below (1) is joined to one, and has a run that goes on to
     /// the left of it (0) or to the right (1).
     fn goes_on_beside(&self, pixel: usize, down: i64, right: i64) -> bool {
-        let beside = self.near(pixel, down, 0, self.limits.gap);
+        let beside = self.image.beside(pixel, down, 0).filter(|&beside| {
+            let lower = pixel.max(beside);
+            self.near_above(lower, 1, 0).is_some()
+        });
         let next = beside.and_then(|beside| self.image.beside(beside, 0, right));
         next.is_some_and(|next| self.goes_on(next))
     }
 
-    /// The window of a pixel where a run begins (to the left) or ends (to the right): rows below
-    /// and columns behind.
-    fn window(&self, pixel: usize) -> Vec<(i64, i64)> {
+    /// The window of a pixel where a run begins (to the left) or ends (to the right): its rows, and
+    /// columns behind.
+    fn window(&self, pixel: usize) -> Vec<(WindowRow, i64)> {
         let mut window = Vec::new();
-        let sides = [(0, -self.columns..=0), (1, 0..=self.columns)];
+        let most = MOST_COLUMNS as i64;
+        let sides = [(0, -most..=0), (1, 0..=most)];
         for (right, columns) in sides {
             let next = self.image.beside(pixel, 0, right);
             let goes_on = next.is_some_and(|next| self.goes_on(next));
             let beside = [-1, 1].map(|down| self.goes_on_beside(pixel, down, right));
             if !goes_on && beside == [false; 2] {
-                for down in -self.rows..=self.rows {
-                    window.extend(columns.clone().map(|on| (down, on)));
+                for row in self.limits.window(pixel % self.image.rows) {
+                    window.extend(columns.clone().map(|on| (*row, on)));
                 }
             }
         }
@@ -195,11 +207,12 @@ impl Nearness<'_> {
     /// What a pixel is joined to: its direct neighbours to the left and above, and what its window
     /// holds.
     fn joined(&self, pixel: usize) -> impl Iterator<Item = usize> {
-        let above = (1..=self.rows).map(|up| (-up, 0));
-        std::iter::once((0, -1))
-            .chain(above)
-            .chain(self.window(pixel))
-            .filter_map(move |(down, on)| self.near(pixel, down, on, self.limits.gap))
+        let left = self.near_above(pixel, 0, -1);
+        let above =
+            (1..=self.limits.above.len()).map(move |place| self.near_above(pixel, place, 0));
+        let window = self.window(pixel).into_iter();
+        let held = window.map(move |(row, on)| self.near(pixel, row, on, self.limits.gap));
+        std::iter::once(left).chain(above).chain(held).flatten()
     }
 
     /// Breadth-first search over what is joined; the first pixel of each pixel's component.
@@ -230,34 +243,41 @@ impl Nearness<'_> {
         component
     }
 
+    /// What each component shows to the sensor, by its first pixel.
+    fn areas_of(&self, component: &[Option<usize>]) -> HashMap<usize, u64> {
+        let mut areas: HashMap<usize, u64> = HashMap::new();
+        for (pixel, first) in component.iter().enumerate() {
+            if let Some(first) = first {
+                let area = self.areas.of(pixel % self.image.rows, &[self.steps(pixel)]);
+                let sum = areas.entry(*first).or_default();
+                *sum = sum.saturating_add(area);
+            }
+        }
+        areas
+    }
+
     /// Gives each small component to the large one that is nearest to where its runs begin and end,
     /// if one is near enough.
-    fn small_to_large(
-        &self,
-        component: Vec<Option<usize>>,
-        small_points: u32,
-    ) -> Vec<Option<usize>> {
-        if small_points <= 1 {
-            return component;
-        }
+    fn small_to_large(&self, component: Vec<Option<usize>>, small: Small) -> Vec<Option<usize>> {
         let points = points_of(&component);
-        let is_small = |first: usize| points[&first] < small_points;
+        let areas = self.areas_of(&component);
+        let is_small = |first: usize| small.is(points[&first], areas[&first]);
         let mut nearest: HashMap<usize, (f32, usize)> = HashMap::new();
         for (pixel, small) in component.iter().enumerate() {
             let Some(small) = small.filter(|&first| is_small(first)) else {
                 continue;
             };
-            for (down, on) in self.window(pixel) {
-                let Some(other) = self.near(pixel, down, on, self.limits.reach) else {
+            for (row, on) in self.window(pixel) {
+                let Some(other) = self.near(pixel, row, on, self.limits.reach) else {
                     continue;
                 };
                 let Some(large) = component[other].filter(|&first| !is_small(first)) else {
                     continue;
                 };
                 let columns = on.unsigned_abs() as usize;
-                let here_m = self.range_m(pixel);
-                let there_m = self.range_m(other);
-                let apart2 = self.tangents(pixel, other).apart2(here_m, there_m, columns);
+                let rows = [pixel, other].map(|pixel| pixel % self.image.rows);
+                let ranges_m = [pixel, other].map(|pixel| self.range_m(pixel));
+                let apart2 = self.limits.apart2(rows, ranges_m, columns);
                 let best = nearest.entry(small).or_insert((f32::INFINITY, usize::MAX));
                 if (apart2, large) < *best {
                     *best = (apart2, large);

@@ -1,151 +1,141 @@
-//! Which two returns are near each other, in numbers of 16 bits.
+//! Which two returns are near each other.
 //!
-//! Two beams with the ranges r and q end as far apart as the law of cosines says, whose angle
-//! alpha stands in the chord k between the ends of both beams at range 1:
+//! Things stand side by side on the ground, not on top of each other. So two returns belong
+//! together by how far they are apart beside each other, in plan: from the sensor's axis they are
+//! as far as their flat ranges say, r and q (a range times the cosine of its elevation), and alpha
+//! is the angle between their columns, whose chord at range 1 is k. The law of cosines gives
 //!
 //! ```text
 //! e² = r² + q² - 2 r q cos(alpha) = (r - q)² + r q k²        k = 2 sin(alpha / 2)
 //! ```
 //!
-//! With d = |r - q| along the beams and w = k max(r, q) across them, e < gap is a circle in the
-//! plane of w and d. A polygon around it touches it where the normal of a side meets the axis of d
-//! at an angle t:
+//! They are near if e is less than the gap: what an angle spans at the range of the one that is
+//! compared with the other, within a least and a most. How far one stands above the other does not
+//! count up to [`HIGHEST_M`]: between two rows the sensor never looked. Two rows are that far apart
+//! at one flat range, beyond which nothing of them is near.
+//!
+//! So all but q is known of a pixel before it is compared, and with r² for r q, so is how much
+//! shorter or longer than its own the other flat range may be: less than its [allowance](Gap::along)
+//! for their columns,
 //!
 //! ```text
-//! d cos t + w sin t < gap        that is        d < gap / cos t - w tan t        t = 0°, 36°, 70°
+//! |r - q| < sqrt(gap² - (r k)²)
 //! ```
 //!
-//! Its corners lie 5 % outside the circle, and where ranges are equal it is 6 % wider. Two
-//! returns of different rows must also lie on a line that meets the beams at more than theta (beta
-//! of the paper, equation 1, for the small angles between beams), which is one more line:
-//!
-//! ```text
-//! d tan theta < w
-//! ```
-//!
-//! Ranges are in [`STEPS`], k tan t in 65536ths: the upper 16 bits of their product are w tan t in
-//! steps. So d is off by at most one step, 7.8 mm, and w tan t by less than two.
+//! Flat ranges and allowances are in [`STEPS`], in 16 bits: together they are off by less than three,
+//! 23 mm.
 
-use fearless_simd::{Simd, i16x16, mask16x16, prelude::*, u16x16};
+use fearless_simd::{Simd, f32x16, i16x16, i32x16, mask16x16, prelude::*, u16x16};
 
-use super::config::Config;
-use super::joining::are_dense;
-use super::order::LANES;
+use super::joining::{Joining, are_dense};
+use super::order::{LANES, MOST_COLUMNS};
 use super::ranges::STEPS;
 use crate::sweep::BeamRow;
 
-/// Cosine and tangent of t for the sides of the polygon beside that of 0°.
-const LINES: [Line; 2] = [
-    Line {
-        cos: 0.809_017,
-        tan: 0.726_543,
-    },
-    Line {
-        cos: 0.342_020,
-        tan: 2.747_477,
-    },
-];
-
-struct Line {
-    cos: f32,
-    tan: f32,
-}
-
-/// What 1 is in tangents.
+/// What 1 is in cosines.
 const ONE: f32 = 65536.0;
+/// Rows that are further apart than this above each other are not joined, metres.
+const HIGHEST_M: f32 = 1.0;
 
-/// What two near returns are apart at most.
+/// How many rows up a return is joined to, where beams are sparse and where they are
+/// [dense](are_dense). Each is twice the one before.
+const SPARSE: &[usize] = &[1, 2];
+const DENSE: &[usize] = &[1, 2, 4];
+
+/// How far apart beside each other near returns may be.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Polygon {
-    /// gap / cos t of each side, in [`STEPS`].
-    sides: [i16; 3],
+pub(super) struct Gap {
+    rad: f32,
+    /// Its least and its most, and what is allowed beyond it, in [`STEPS`].
+    least: f32,
+    most: f32,
+    beyond: f32,
 }
 
-impl Polygon {
-    pub fn new(gap_m: f32) -> Self {
-        // A gap of no step would join nothing.
-        let gap = (gap_m * STEPS).max(1.0);
-        let [second, third] = LINES.map(|line| (gap / line.cos).round() as i16);
+impl Gap {
+    pub fn new(joining: &Joining, beyond_m: f32) -> Self {
         Self {
-            sides: [gap.round() as i16, second, third],
+            rad: joining.gap_rad,
+            least: joining.min_gap_m * STEPS,
+            most: joining.max_gap_m * STEPS,
+            beyond: beyond_m * STEPS,
         }
     }
 
-    /// Which ranges are near each other.
+    /// How much shorter or longer another flat range may be, by the chords to it; 0 where it is too
+    /// far aside.
     #[inline(always)]
-    pub fn near<S: Simd>(
-        self,
-        a: i16x16<S>,
-        b: i16x16<S>,
-        [second, third, theta]: [u16x16<S>; 3],
-    ) -> mask16x16<S> {
-        let far = a.max(b);
-        let along = far.saturating_sub(a.min(b));
-        let second = self.side(a.token(), 1) - mul_high(far, second);
-        let third = self.side(a.token(), 2) - mul_high(far, third);
-        let most = self.side(a.token(), 0).min(mul_high(far, theta));
-        along.simd_lt(most.min(second).min(third))
+    pub fn along<S: Simd>(self, flat: f32x16<S>, chords: f32x16<S>) -> i16x16<S> {
+        let gap = (flat * self.rad).max(self.least).min(self.most) + self.beyond;
+        let across = flat * chords;
+        let along = (gap * gap - across * across).max(0.0).sqrt() + 0.5;
+        let (low, high) = along.to_int::<i32x16<S>>().split();
+        low.saturating_narrow(high)
     }
 
-    #[inline(always)]
-    fn side<S: Simd>(self, simd: S, side: usize) -> i16x16<S> {
-        i16x16::splat(simd, self.sides[side])
-    }
-
-    /// The same of two pixels as many columns apart.
-    pub fn is_near(self, a: i16, b: i16, tangents: &Tangents, columns: usize) -> bool {
-        let [second, third, theta] = tangents.across(a.max(b), columns).map(i32::from);
-        let sides = self.sides.map(i32::from);
-        let along = i32::from(a.max(b)) - i32::from(a.min(b));
-        along < sides[0] && along < sides[1] - second && along < sides[2] - third && along < theta
+    /// The same of one flat range and chord.
+    pub fn along_of(self, flat: i16, chord: f32) -> i16 {
+        let flat = f32::from(flat);
+        let gap = (flat * self.rad).max(self.least).min(self.most) + self.beyond;
+        let across = flat * chord;
+        ((gap * gap - across * across).max(0.0).sqrt() + 0.5) as i16
     }
 }
 
-/// What the pixels of two rows are apart at range 1, by the columns between them, in 65536ths and
-/// at most 1: k tan t of the second and the third side, and k / tan theta. Each sixteenth column to
-/// the left first, then one less, to the pixel's own and on to the sixteenth to the right.
+/// Which flat ranges are as near as they may be.
+#[inline(always)]
+pub(super) fn near<S: Simd>(here: i16x16<S>, there: i16x16<S>, along: i16x16<S>) -> mask16x16<S> {
+    here.saturating_sub(there).abs().simd_lt(along)
+}
+
+/// Flat ranges as numbers to reckon with.
+#[inline(always)]
+pub(super) fn to_float<S: Simd>(flat: i16x16<S>) -> f32x16<S> {
+    let (low, high) = flat.widen();
+    low.combine(high).to_float()
+}
+
+/// A row of a window.
 #[derive(Clone, Copy, Debug)]
+pub(super) struct WindowRow {
+    /// Rows below that of the pixel.
+    pub down: isize,
+    /// The flat range at which it is [`HIGHEST_M`] above or below it, in [`STEPS`].
+    pub furthest: i16,
+}
+
+/// Chords between pixels at range 1: each sixteenth column to the left first, then one less, to the
+/// pixel's own and on to the sixteenth to the right. Beyond a window they are without end.
+#[derive(Clone, Copy, Debug, Default)]
 #[repr(align(64))]
-pub(super) struct Tangents([[u16; 2 * LANES]; 3]);
+pub(super) struct Chords([f32; 2 * LANES]);
 
-impl Tangents {
-    /// The pixel of one row that stands at the middle, and sixteen of the other: those to the left
-    /// with its own column, or those to the right.
+/// So long that nothing is near: its square fits into a number.
+const ENDLESS: f32 = 1e9;
+
+impl Chords {
+    fn new(pitch_rad: f32) -> Self {
+        let mut chords = [ENDLESS; 2 * LANES];
+        for columns in 0..=MOST_COLUMNS {
+            let chord = 2.0 * (pitch_rad * columns as f32 / 2.0).sin().abs();
+            chords[LANES - 1 - columns] = chord;
+            chords[LANES - 1 + columns] = chord;
+        }
+        Self(chords)
+    }
+
+    /// From a pixel to sixteen of a row: those to the left with its own column, or those to the
+    /// right.
     #[inline(always)]
-    pub fn window<S: Simd>(&self, simd: S, is_left: bool) -> [u16x16<S>; 3] {
+    pub fn window<S: Simd>(&self, simd: S, is_left: bool) -> f32x16<S> {
         let from = if is_left { 0 } else { LANES - 1 };
-        let [second, third, theta] = &self.0;
-        [
-            u16x16::from_slice(simd, &second[from..from + LANES]),
-            u16x16::from_slice(simd, &third[from..from + LANES]),
-            u16x16::from_slice(simd, &theta[from..from + LANES]),
-        ]
+        f32x16::from_slice(simd, &self.0[from..from + LANES])
     }
 
-    /// Pairs of pixels that are all as many columns apart.
+    /// Between two pixels this many columns apart.
     #[inline(always)]
-    pub fn pairs<S: Simd>(&self, simd: S, columns: usize) -> [u16x16<S>; 3] {
-        let [second, third, theta] = &self.0;
-        [
-            u16x16::splat(simd, second[LANES - 1 + columns]),
-            u16x16::splat(simd, third[LANES - 1 + columns]),
-            u16x16::splat(simd, theta[LANES - 1 + columns]),
-        ]
-    }
-
-    /// w times each tangent of two pixels, whose greater range this is.
-    fn across(&self, far: i16, columns: usize) -> [u16; 3] {
-        self.0.map(|tangents| {
-            let tangent = u32::from(tangents[LANES - 1 + columns]);
-            ((u32::from(far.unsigned_abs()) * tangent) >> 16) as u16
-        })
-    }
-
-    /// Square of the distance of two pixels with these ranges, m².
-    pub fn apart2(&self, a_m: f32, b_m: f32, columns: usize) -> f32 {
-        let [_, third, _] = &self.0;
-        let chord = f32::from(third[LANES - 1 + columns]) * (1.0 / (ONE * LINES[1].tan));
-        (a_m - b_m) * (a_m - b_m) + a_m * b_m * chord * chord
+    pub fn of(&self, columns: usize) -> f32 {
+        self.0[LANES - 1 + columns]
     }
 }
 
@@ -153,98 +143,115 @@ impl Tangents {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Limits {
     /// To be joined.
-    pub gap: Polygon,
+    pub gap: Gap,
     /// For a small component to become part of another one.
-    pub reach: Polygon,
-    /// Rows above and below that a window has.
-    pub window_rows: usize,
-    /// Sine and cosine of the elevation, row by row.
-    directions: Vec<[f32; 2]>,
-    /// Row after row: with as many rows above it as a window has, and so on down to as many below.
-    pairs: Vec<Tangents>,
+    pub reach: Gap,
+    pub chords: Chords,
+    /// How many rows up a pixel is compared with those of its column.
+    pub above: &'static [usize],
+    /// Row after row: the rows of its windows, from above.
+    window: Vec<WindowRow>,
+    /// Cosine of the elevation, row by row.
+    cos: Vec<f32>,
 }
 
 impl Limits {
-    /// Takes the beams of an image whose columns are one pitch apart, and the window. Beams are
-    /// taken to start at one place: one that starts some centimetres aside is off by no more than
-    /// that.
-    #[inline(always)]
-    pub fn set(&mut self, beams: &[BeamRow], pitch_rad: f32, config: &Config) {
-        let across: [f32; LANES] = std::array::from_fn(|columns| {
-            let half_rad = pitch_rad * columns as f32 / 2.0;
-            4.0 * half_rad.sin() * half_rad.sin()
-        });
-        let gap_m = config.joining.gap_m(are_dense(beams));
-        self.gap = Polygon::new(gap_m);
-        self.reach = Polygon::new(gap_m + config.joining.small_reach_m);
-        self.window_rows = config.joining.rows;
-        self.directions.clear();
-        self.directions.extend(beams.iter().map(|beam| {
-            let (sin, cos) = f64::from(beam.elevation_rad).sin_cos();
-            [sin as f32, cos as f32]
-        }));
-        let cot_theta = 1.0 / config.theta_rad.tan();
-        self.pairs.clear();
-        for row in 0..beams.len() {
-            let [sin, cos] = self.directions[row];
-            for down in 0..=2 * self.window_rows {
-                let other = (row + down).saturating_sub(self.window_rows);
-                let [other_sin, other_cos] = self.directions[other.min(beams.len() - 1)];
-                let rise = sin - other_sin;
-                let run = cos - other_cos;
-                let chords = across
-                    .map(|across| (rise * rise + run * run + cos * other_cos * across).sqrt());
-                let mut theta = [1.0; LANES];
-                if down != self.window_rows {
-                    theta = chords.map(|chord| chord * cot_theta);
-                }
-                // Beyond the window no pair passes: no difference is less than 0.
-                theta[config.joining.columns + 1..].fill(0.0);
-                self.pairs.push(Tangents([
-                    mirrored(chords.map(|chord| chord * LINES[0].tan)),
-                    mirrored(chords.map(|chord| chord * LINES[1].tan)),
-                    mirrored(theta),
-                ]));
+    /// Takes the beams of an image whose columns are one pitch apart. Beams are taken to start at
+    /// one place: one that starts some centimetres aside is off by no more than that.
+    pub fn set(&mut self, beams: &[BeamRow], pitch_rad: f32, joining: &Joining) {
+        self.gap = Gap::new(joining, 0.0);
+        self.reach = Gap::new(joining, joining.small_reach_m);
+        self.chords = Chords::new(pitch_rad);
+        self.above = if are_dense(beams) { DENSE } else { SPARSE };
+        self.cos.clear();
+        self.window.clear();
+        for (row, beam) in beams.iter().enumerate() {
+            let elevation_rad = f64::from(beam.elevation_rad);
+            self.cos.push(elevation_rad.cos() as f32);
+            for down in downs(self.above) {
+                let other = row
+                    .checked_add_signed(down)
+                    .and_then(|other| beams.get(other));
+                let rise = other.map_or(0.0, |other| {
+                    elevation_rad.tan() - f64::from(other.elevation_rad).tan()
+                });
+                let furthest = f64::from(HIGHEST_M * STEPS) / rise.abs();
+                self.window.push(WindowRow {
+                    down,
+                    furthest: furthest.min(i16::MAX.into()) as i16,
+                });
             }
         }
     }
 
-    /// The tangents of a row with each row of its windows, from above.
+    /// The rows of the windows of a row, from above; also some that the image does not have.
     #[inline(always)]
-    pub fn window(&self, row: usize) -> &[Tangents] {
-        let rows = 2 * self.window_rows + 1;
-        &self.pairs[row * rows..][..rows]
+    pub fn window(&self, row: usize) -> &[WindowRow] {
+        let rows = 2 * self.above.len() + 1;
+        &self.window[row * rows..][..rows]
     }
 
-    /// The tangents of two rows, of which a window holds both.
+    /// The row of the windows of a row that is its own, or the one so many places in
+    /// [`Limits::above`] up.
     #[inline(always)]
-    pub fn of(&self, a: usize, b: usize) -> &Tangents {
-        &self.window(a)[b + self.window_rows - a]
+    pub fn up(&self, row: usize, place: usize) -> WindowRow {
+        self.window(row)[self.above.len() - place]
+    }
+
+    /// Flat ranges of a row, of ranges in [`STEPS`]; at least one.
+    #[inline(always)]
+    pub fn flat<S: Simd>(&self, row: usize, ranges: i16x16<S>) -> i16x16<S> {
+        mul_high(ranges, u16x16::splat(ranges.token(), self.cos_of(row))).max(1)
+    }
+
+    /// The same of one range.
+    pub fn flat_of(&self, row: usize, range: i16) -> i16 {
+        (((i32::from(range) * i32::from(self.cos_of(row))) >> 16) as i16).max(1)
+    }
+
+    /// Whether one flat range is near another one, this many columns aside in a row of its window.
+    pub fn is_near(
+        &self,
+        gap: Gap,
+        [here, there]: [i16; 2],
+        columns: usize,
+        row: WindowRow,
+    ) -> bool {
+        let along = gap.along_of(here, self.chords.of(columns));
+        here.abs_diff(there) < along.unsigned_abs() && here <= row.furthest
+    }
+
+    fn cos_of(&self, row: usize) -> u16 {
+        (self.cos[row] * ONE).min(ONE - 1.0) as u16
+    }
+
+    /// Square of how far two returns are apart beside each other, m²: their rows and ranges, and
+    /// the columns between them.
+    pub fn apart2(&self, rows: [usize; 2], ranges_m: [f32; 2], columns: usize) -> f32 {
+        let a_m = ranges_m[0] * self.cos[rows[0]];
+        let b_m = ranges_m[1] * self.cos[rows[1]];
+        let chord = self.chords.of(columns);
+        (a_m - b_m) * (a_m - b_m) + a_m * b_m * chord * chord
     }
 }
 
-/// Numbers by columns apart, to the left and to the right, in 65536ths.
-#[inline(always)]
-fn mirrored(right: [f32; LANES]) -> [u16; 2 * LANES] {
-    let right = right.map(|number| (number * ONE + 0.5).min(ONE - 1.0) as i32 as u16);
-    let mut both = [0; 2 * LANES];
-    for columns in 0..LANES {
-        both[LANES - 1 - columns] = right[columns];
-        both[LANES - 1 + columns] = right[columns];
-    }
-    both
+/// Rows of a window, from above, by how far below its pixel's they are.
+fn downs(above: &[usize]) -> impl Iterator<Item = isize> {
+    let up = above.iter().rev().map(|&rows| -(rows as isize));
+    let down = above.iter().map(|&rows| rows as isize);
+    up.chain([0]).chain(down)
 }
 
-/// The upper 16 bits of the products of ranges and tangents.
+/// The upper 16 bits of the products of ranges and of numbers in 65536ths.
 #[inline(always)]
-fn mul_high<S: Simd>(ranges: i16x16<S>, tangents: u16x16<S>) -> i16x16<S> {
+fn mul_high<S: Simd>(ranges: i16x16<S>, numbers: u16x16<S>) -> i16x16<S> {
     let ranges: u16x16<S> = ranges.bitcast();
     #[cfg(target_arch = "x86_64")]
     if let Some(avx2) = ranges.token().level().as_avx2() {
-        let high = x86::mul_high(avx2, ranges.into(), tangents.into());
+        let high = x86::mul_high(avx2, ranges.into(), numbers.into());
         return high.simd_into(ranges.token());
     }
-    let (low, high) = ranges.widening_mul(tangents);
+    let (low, high) = ranges.widening_mul(numbers);
     (low >> 16).narrow(high >> 16).bitcast()
 }
 
@@ -271,89 +278,105 @@ mod tests {
     use crate::segment::ranges::{NO_RETURN, to_step};
     use crate::sensor::Beam;
 
-    /// Four rows and columns of some sensor.
-    fn limits(rng: &mut Rng) -> Limits {
-        let mut limits = Limits::default();
-        let step_rad = 0.001 + 0.1 * rng.f64();
-        let beams =
-            [0, 1, 2, 3].map(|row| BeamRow::new(&Beam::ideal(row, -step_rad * row as f64), 0));
-        let mut config = Config {
-            theta_rad: 0.5 * rng.f32(),
-            ..Config::default()
-        };
-        config.joining.rows = 3;
-        limits.set(&beams, 0.001 + 0.02 * rng.f32(), &config);
-        limits
+    /// Two rows of some sensor, and their elevations.
+    fn rows(rng: &mut Rng) -> ([BeamRow; 2], [f64; 2]) {
+        let first_rad = rng.f64() - 0.5;
+        let elevations_rad = [first_rad, first_rad - 0.1 * rng.f64()];
+        let beams = [0, 1].map(|row| BeamRow::new(&Beam::ideal(row, elevations_rad[row]), 0));
+        (beams, elevations_rad)
     }
 
     #[test]
     fn vectors_say_what_single_pixels_say() {
         let mut rng = Rng::with_seed(1);
-        let mut near = 0;
+        let mut count = 0;
         for round in 0..20_000 {
-            let limits = limits(&mut rng);
-            let polygon = Polygon::new(0.05 + 9.0 * rng.f32() * rng.f32());
+            let mut limits = Limits::default();
+            let joining = Joining {
+                min_gap_m: 0.25 * rng.f32(),
+                max_gap_m: 0.3 + 0.5 * rng.f32(),
+                ..Joining::default()
+            };
+            limits.set(&rows(&mut rng).0, 0.001 + 0.02 * rng.f32(), &joining);
+            let gap = if rng.bool() { limits.gap } else { limits.reach };
+            let row = WindowRow {
+                furthest: i16::MAX,
+                ..limits.up(1, 1)
+            };
             let most = 1 << rng.u32(1..15);
             let here: i16 = rng.i16(1..=most);
             let there: [i16; LANES] = std::array::from_fn(|_| match rng.u32(0..8) {
                 0 => NO_RETURN,
                 1 => i16::MAX,
+                2..5 => (i32::from(here) + rng.i32(-90..90)).max(1) as i16,
                 _ => rng.i16(1..=most),
             });
-            let tangents = limits.of(rng.usize(0..4), rng.usize(0..4));
             let is_left = rng.bool();
             let expected = |lane: usize| {
                 let columns = if is_left { LANES - 1 - lane } else { lane };
-                let is = polygon.is_near(here, there[lane], tangents, columns);
-                u64::from(there[lane] != NO_RETURN && is) << lane
+                let is_near = limits.is_near(gap, [here, there[lane]], columns, row);
+                u64::from(there[lane] != NO_RETURN && is_near) << lane
             };
             let expected: u64 = (0..LANES).map(expected).sum();
-            near += expected.count_ones();
+            count += expected.count_ones();
             for level in levels() {
                 let found = dispatch!(level, simd => {
-                    let a = i16x16::splat(simd, here);
-                    let b = i16x16::from_slice(simd, &there);
-                    polygon.near(a, b, tangents.window(simd, is_left)).to_bitmask()
+                    let here = i16x16::splat(simd, here);
+                    let chords = limits.chords.window(simd, is_left);
+                    let along = gap.along(to_float(here), chords);
+                    near(here, i16x16::from_slice(simd, &there), along).to_bitmask()
                 });
                 assert_eq!(found, expected, "round {round}, {level:?}");
             }
         }
-        assert!(near > 10_000, "{near} pairs are near");
+        assert!(count > 10_000, "{count} pairs are near");
     }
 
-    /// Against the law of cosines: what is nearer than the gap less some steps is near, what is
-    /// further than the corners and some steps is not.
+    /// Against two points in space: how far apart they are seen from above, and how high one row
+    /// stands above the other there.
     #[test]
-    fn the_polygon_lies_about_the_circle() {
+    fn near_is_what_stands_less_than_the_gap_beside() {
         let mut rng = Rng::with_seed(2);
+        let mut counts = [0; 2];
         for _ in 0..100_000 {
-            let mut limits = Limits::default();
+            let (beams, elevations_rad) = rows(&mut rng);
             let pitch_rad = 0.0005 + 0.01 * rng.f32();
-            let beams = [BeamRow::new(&Beam::ideal(0, 0.0), 0)];
-            limits.set(&beams, pitch_rad, &Config::default());
-            let gap_m = 0.3 + rng.f32();
-            let columns = rng.usize(1..=12);
-            let here_m = 2.0 + 60.0 * rng.f32();
-            let there_m = here_m + 1.5 * gap_m * rng.f32();
-            let alpha_rad = f64::from(pitch_rad) * columns as f64;
-            let [a, b] = [here_m, there_m].map(f64::from);
-            let apart_m = (a * a + b * b - 2.0 * a * b * alpha_rad.cos()).sqrt();
-            let [a, b] = [here_m, there_m].map(to_step);
-            let is_near = Polygon::new(gap_m).is_near(a, b, limits.of(0, 0), columns);
-            let gap_m = f64::from(gap_m);
-            let what = format!("{here_m} and {there_m} m, {alpha_rad} rad, gap {gap_m} m");
-            // Where the nearer beam is the shorter one, w is wider than what lies across.
-            let wider = (f64::from(there_m) / f64::from(here_m)).sqrt();
-            assert!(is_near || apart_m * wider > gap_m - 0.03, "{what}: near");
-            assert!(
-                !is_near || apart_m < 1.065 * gap_m + 0.03,
-                "{what}: not near"
-            );
-            let measured_m = limits.of(0, 0).apart2(here_m, there_m, columns).sqrt();
-            assert!(
-                (f64::from(measured_m) - apart_m).abs() < 2e-3,
-                "{what}: {measured_m} m"
-            );
+            let mut limits = Limits::default();
+            limits.set(&beams, pitch_rad, &Joining::default());
+            let columns = rng.usize(0..=12);
+            let here_m = 1.5 + 60.0 * rng.f64() * rng.f64();
+            let there_m = here_m + 2.0 * (rng.f64() - 0.5);
+            let turn_rad = f64::from(pitch_rad) * columns as f64;
+            let (sin, cos) = turn_rad.sin_cos();
+            let beside_m = (there_m * sin).hypot(there_m * cos - here_m);
+            let gap_m = (2_f64.to_radians() * here_m).clamp(0.25, 0.65);
+            let [above, below] = elevations_rad.map(f64::tan);
+            let high_m = here_m * (above - below);
+
+            let ranges_m = [
+                there_m / elevations_rad[0].cos(),
+                here_m / elevations_rad[1].cos(),
+            ];
+            let ranges_m = ranges_m.map(|range_m| range_m as f32);
+            let [there, here] = [0, 1].map(|row| limits.flat_of(row, to_step(ranges_m[row])));
+            let is_near = limits.is_near(limits.gap, [here, there], columns, limits.up(1, 1));
+            counts[usize::from(is_near)] += 1;
+            // What lies across is taken at the range of the one that is compared.
+            let off_m = 0.03 + 0.65 * (there_m.max(here_m) / there_m.min(here_m)).sqrt() - 0.65;
+            let what =
+                format!("{here_m}, {there_m} m, {turn_rad} rad: {beside_m}, {high_m} m apart");
+            if is_near {
+                assert!(beside_m < gap_m + off_m && high_m < 1.03, "{what}: near");
+            } else {
+                assert!(
+                    beside_m > gap_m - off_m || high_m > 0.97,
+                    "{what}: not near"
+                );
+            }
+            let measured_m = limits.apart2([0, 1], ranges_m, columns).sqrt();
+            let off_m = (f64::from(measured_m) - beside_m).abs();
+            assert!(off_m < 2e-3, "{what}: {measured_m} m");
         }
+        assert!(counts.iter().all(|count| *count > 5_000), "{counts:?}");
     }
 }

@@ -258,12 +258,11 @@ impl Objects {
         simd: S,
         strip: Strip<'_>,
         components: &mut Components,
-        thresholds: [u32; 2],
+        min_points: u32,
     ) {
         if !self.is_followed {
             return;
         }
-        let [small_points, min_points] = thresholds;
         self.slots.resize(components.pieces(), NONE);
         self.unite(simd, components);
         self.add_runs(simd, &strip, components);
@@ -293,10 +292,10 @@ impl Objects {
                 }
             }
         }
-        self.settle(components, small_points);
+        self.settle(components);
         for index in 0..self.open.len() {
             let open = self.open[index];
-            let is_small = components.points(open.root) < small_points;
+            let is_small = components.is_small(open.root);
             let is_known = if is_small {
                 open.is_settled && open.nearest.root == NONE
             } else {
@@ -413,20 +412,20 @@ impl Objects {
 
     /// Finds which small components have ended and become part of which others, and which others
     /// wait for small ones.
-    fn settle(&mut self, components: &mut Components, small_points: u32) {
+    fn settle(&mut self, components: &mut Components) {
         for open in &mut self.open {
             open.nearest = Nearest::NONE;
             open.waits = !open.has_ended;
         }
-        self.take_notes(components, small_points);
-        self.find_nearest(components, small_points);
-        self.wait_for_nearer(components, small_points);
-        self.settle_small(components, small_points);
-        self.wait_for_small(components, small_points);
+        self.take_notes(components);
+        self.find_nearest(components);
+        self.wait_for_nearer(components);
+        self.settle_small(components);
+        self.wait_for_small(components);
     }
 
     /// Takes the notes that are new, and drops those of components that are not small any more.
-    fn take_notes(&mut self, components: &mut Components, small_points: u32) {
+    fn take_notes(&mut self, components: &mut Components) {
         let (nears, thinned) = components.nears();
         if self.taken.1 != thinned {
             self.taken = (0, thinned);
@@ -437,13 +436,13 @@ impl Objects {
         self.notes.retain_mut(|note| {
             note.small = components.root(note.small);
             note.large = components.root(note.large);
-            slots[note.small as usize] != NONE && components.points(note.small) < small_points
+            slots[note.small as usize] != NONE && components.is_small(note.small)
         });
     }
 
-    fn find_nearest(&mut self, components: &Components, small_points: u32) {
+    fn find_nearest(&mut self, components: &Components) {
         for note in &self.notes {
-            if components.points(note.large) < small_points {
+            if components.is_small(note.large) {
                 continue;
             }
             let nearest = &mut self.open[self.slots[note.small as usize] as usize].nearest;
@@ -459,12 +458,12 @@ impl Objects {
     }
 
     /// Has small ones wait while what is nearest to them may change.
-    fn wait_for_nearer(&mut self, components: &Components, small_points: u32) {
+    fn wait_for_nearer(&mut self, components: &Components) {
         for note in &self.notes {
             let slot = self.slots[note.small as usize] as usize;
             let nearest = self.open[slot].nearest;
             let has_ended = self.has_ended(note.large);
-            let may_grow = !has_ended && components.points(note.large) < small_points;
+            let may_grow = !has_ended && components.is_small(note.large);
             // Of two as near, that with the lower first pixel: it is known when both have ended.
             let is_tied = note.apart2 == nearest.apart2
                 && note.large != nearest.root
@@ -480,9 +479,9 @@ impl Objects {
     }
 
     /// Gives the small ones that wait for nothing to what is nearest to them.
-    fn settle_small(&mut self, components: &Components, small_points: u32) {
+    fn settle_small(&mut self, components: &Components) {
         for open in &mut self.open {
-            if open.waits || components.points(open.root) >= small_points {
+            if open.waits || !components.is_small(open.root) {
                 continue;
             }
             open.is_settled = true;
@@ -497,14 +496,11 @@ impl Objects {
     }
 
     /// Has the others wait for small ones near them.
-    fn wait_for_small(&mut self, components: &Components, small_points: u32) {
+    fn wait_for_small(&mut self, components: &Components) {
         for note in &self.notes {
             let small = self.slots[note.small as usize] as usize;
             let large = self.slots[note.large as usize];
-            if large != NONE
-                && !self.open[small].is_settled
-                && components.points(note.large) >= small_points
-            {
+            if large != NONE && !self.open[small].is_settled && !components.is_small(note.large) {
                 self.open[large as usize].waits = true;
             }
         }

@@ -11,10 +11,11 @@ use crate::sweep::layout::flags;
 /// Most rows of an image.
 pub const MAX_ROWS: usize = 128;
 
-/// Widest window.
-pub const MOST_COLUMNS: usize = 12;
-/// Highest window.
-pub const MOST_ROWS: usize = 8;
+/// Columns to either side of a pixel that its windows have.
+pub(super) const MOST_COLUMNS: usize = 12;
+/// Rows above a pixel that it is compared with, at most, and how far up they are.
+pub(super) const MOST_ABOVE: usize = 3;
+pub(super) const MOST_ROWS: usize = 4;
 /// Columns that one instruction treats.
 pub(super) const LANES: usize = 16;
 /// Columns of a strip: a bit each of a word.

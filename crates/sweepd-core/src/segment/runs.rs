@@ -7,11 +7,12 @@
 //! Each pixel has a label of 16 bits, so that a window can see what belongs together: the piece,
 //! while all pieces fit. From where they may not, each strip numbers its runs by itself.
 
-use fearless_simd::{Simd, i16x16, mask16x16, prelude::*, u16x16};
+use fearless_simd::{Simd, f32x16, i16x16, mask16x16, prelude::*, u16x16};
 
+use super::area::Areas;
 use super::components::{Components, Sum};
-use super::near::{Limits, Polygon};
-use super::order::{BEFORE, LANES, MOST_ROWS, Order, Plane, STRIDE, STRIP, lane_of};
+use super::near::{Limits, near, to_float};
+use super::order::{BEFORE, LANES, MOST_ABOVE, Order, Plane, STRIDE, STRIP, lane_of};
 use super::points::{Beams, RowPoints};
 use super::ranges::{NO_RETURN, Ranges};
 
@@ -44,8 +45,8 @@ pub(super) struct Edges {
     pub on: u128,
     /// Near the one to the left.
     pub along: u128,
-    /// Near the one a row up, two rows up and so on, in the same column.
-    pub up: [u128; MOST_ROWS],
+    /// Near one above in the same column, by the places in [`Limits::above`].
+    pub up: [u128; MOST_ABOVE],
 }
 
 /// The columns of the strip at hand.
@@ -73,8 +74,8 @@ impl Iterator for Bits {
 /// The strip at hand, and the columns before it.
 #[derive(Clone, Debug)]
 pub(super) struct Runs {
-    /// Ranges of what is no ground; [`NO_RETURN`] elsewhere.
-    pub range: Plane<i16>,
+    /// Flat ranges of what is no ground; [`NO_RETURN`] elsewhere.
+    pub flat: Plane<i16>,
     /// The label of each pixel that is no ground.
     pub label: Plane<u16>,
     /// Whether pieces may be too many to be labels; then the piece of each label.
@@ -98,7 +99,7 @@ pub(super) struct Runs {
 impl Default for Runs {
     fn default() -> Self {
         Self {
-            range: Plane::of(NO_RETURN),
+            flat: Plane::of(NO_RETURN),
             label: Plane::of(0),
             is_full: false,
             names: Vec::new(),
@@ -121,7 +122,7 @@ impl Runs {
         super::order::reserve(&mut self.names, rows * (BEFORE + STRIP));
         self.from = 0;
         self.jumps = 0;
-        self.range.fill(NO_RETURN);
+        self.flat.fill(NO_RETURN);
         self.edges.clear();
         self.edges.resize(rows, Edges::default());
         self.heads.clear();
@@ -131,13 +132,7 @@ impl Runs {
     /// Goes on to the next strip, with the columns in it that are no neighbours of those before.
     /// What is kept of the strip before learns its components as they are by now.
     #[inline(always)]
-    pub fn advance<S: Simd>(
-        &mut self,
-        simd: S,
-        window_rows: usize,
-        jumps: u64,
-        components: &mut Components,
-    ) {
+    pub fn advance<S: Simd>(&mut self, simd: S, jumps: u64, components: &mut Components) {
         self.names.clear();
         self.is_full = components.pieces() + self.edges.len() * STRIP > usize::from(u16::MAX);
         for index in self.from..self.all.len() {
@@ -155,11 +150,11 @@ impl Runs {
         for (row, edges) in self.edges.iter_mut().enumerate() {
             let lane = lane_of(row);
             let last = lane + STRIP - BEFORE..lane + STRIP;
-            self.range.copy_within(last.clone(), lane - BEFORE);
+            self.flat.copy_within(last.clone(), lane - BEFORE);
             self.label.copy_within(last, lane - BEFORE);
             edges.on >>= STRIP;
             edges.along >>= STRIP;
-            for up in &mut edges.up[..window_rows] {
+            for up in &mut edges.up {
                 *up >>= STRIP;
             }
         }
@@ -191,19 +186,25 @@ impl Runs {
 
     /// Takes what is no ground in a row.
     #[inline(always)]
-    pub fn set_row<S: Simd>(&mut self, simd: S, ranges: &Ranges, row: usize, on: u64) {
+    pub fn set_row<S: Simd>(
+        &mut self,
+        simd: S,
+        limits: &Limits,
+        ranges: &Ranges,
+        row: usize,
+        on: u64,
+    ) {
         self.edges[row].on |= u128::from(on) << STRIP;
         let nothing = i16x16::splat(simd, NO_RETURN);
         for first in (0..STRIP).step_by(LANES) {
             let is = mask16x16::from_bitmask(simd, on >> first & 0xFFFF);
             let lane = lane_of(row) + first;
-            let range = is.select(ranges.steps.load(simd, lane), nothing);
-            self.range.store(lane, range);
+            let flat = limits.flat(row, ranges.steps.load(simd, lane));
+            self.flat.store(lane, is.select(flat, nothing));
         }
     }
 
-    /// Finds which pixels are near their neighbours to the left and in as many rows above as a
-    /// window has.
+    /// Finds which pixels are near their neighbours to the left, and near those above.
     #[inline(always)]
     pub fn find_edges<S: Simd>(&mut self, simd: S, limits: &Limits) {
         for row in 0..self.edges.len() {
@@ -211,41 +212,55 @@ impl Runs {
             if at_hand(on) == 0 {
                 continue;
             }
-            let tangents = limits.of(row, row).pairs(simd, 1);
-            let along = self.near(simd, limits.gap, tangents, row, [0, 1]);
-            self.edges[row].along |= along & on & on << 1 & !self.jumps;
-            for up in 1..=limits.window_rows.min(row) {
-                let both = on & self.edges[row - up].on;
-                if at_hand(both) != 0 {
-                    let tangents = limits.of(row, row - up).pairs(simd, 0);
-                    let near = self.near(simd, limits.gap, tangents, row, [up, 0]);
-                    self.edges[row].up[up - 1] |= near & both;
+            let mut found = Edges::default();
+            for first in (0..STRIP).step_by(LANES) {
+                if at_hand(on) >> first & 0xFFFF != 0 {
+                    self.find_edges_of(simd, limits, row, first, &mut found);
                 }
+            }
+            let edges = &mut self.edges[row];
+            edges.along |= found.along & on & on << 1 & !self.jumps;
+            for (place, &up) in limits
+                .above
+                .iter()
+                .enumerate()
+                .filter(|(_, up)| **up <= row)
+            {
+                let both = on & self.edges[row - up].on;
+                self.edges[row].up[place] |= found.up[place] & both;
             }
         }
     }
 
-    /// Which pixels of a row are near those as many rows up and columns to the left.
+    /// The same of sixteen columns, on or not.
     #[inline(always)]
-    fn near<S: Simd>(
+    fn find_edges_of<S: Simd>(
         &self,
         simd: S,
-        gap: Polygon,
-        tangents: [u16x16<S>; 3],
+        limits: &Limits,
         row: usize,
-        [up, left]: [usize; 2],
-    ) -> u128 {
-        let on = at_hand(self.edges[row].on);
-        let mut near = 0;
-        for first in (0..STRIP).step_by(LANES) {
-            if on >> first & 0xFFFF != 0 {
-                let lane = lane_of(row) + first;
-                let here = self.range.load(simd, lane);
-                let there = self.range.load(simd, lane - up * STRIDE - left);
-                near |= gap.near(here, there, tangents).to_bitmask() << first;
-            }
+        first: usize,
+        found: &mut Edges,
+    ) {
+        let lane = lane_of(row) + first;
+        let here: i16x16<S> = self.flat.load(simd, lane);
+        let flat = to_float(here);
+        let along = limits
+            .gap
+            .along(flat, f32x16::splat(simd, limits.chords.of(1)));
+        let left = near(here, self.flat.load(simd, lane - 1), along);
+        found.along |= u128::from(left.to_bitmask()) << (STRIP + first);
+        let along = limits
+            .gap
+            .along(flat, f32x16::splat(simd, limits.chords.of(0)));
+        for place in 0..limits.above.len() {
+            let row = limits.up(row, place + 1);
+            let above = self
+                .flat
+                .load(simd, lane.wrapping_add_signed(row.down * STRIDE as isize));
+            let is_near = near(here, above, along) & here.simd_le(row.furthest);
+            found.up[place] |= u128::from(is_near.to_bitmask()) << (STRIP + first);
         }
-        u128::from(near) << STRIP
     }
 
     /// Makes runs of a row, and gives each the component that it is joined to.
@@ -254,7 +269,7 @@ impl Runs {
         &mut self,
         simd: S,
         row: usize,
-        window_rows: usize,
+        above: &[usize],
         components: &mut Components,
     ) {
         let on = at_hand(self.edges[row].on);
@@ -267,7 +282,7 @@ impl Runs {
             let span = u64::MAX >> (64 - count) << first;
             let piece = if first == 0 && along & 1 == 1 {
                 components.root(self.piece(lane_of(row) - 1))
-            } else if let Some((up, joint)) = self.joint(row, span, window_rows) {
+            } else if let Some((up, joint)) = self.joint(row, span, above) {
                 if up == 1 {
                     adopted |= 1 << joint;
                 }
@@ -282,11 +297,15 @@ impl Runs {
                 count: count as u8,
             });
         }
-        for up in 1..=window_rows.min(row) {
-            let mut joints = at_hand(self.edges[row].up[up - 1]);
-            // By way of the row between, they are joined already.
-            if up > 1 {
-                joints &= !at_hand(self.edges[row].up[0] & self.edges[row - 1].up[up - 2]);
+        for (place, &up) in above.iter().enumerate() {
+            let mut joints = at_hand(self.edges[row].up[place]);
+            if joints == 0 {
+                continue;
+            }
+            // By way of the row halfway between, they are joined already.
+            if place > 0 {
+                let halves = self.edges[row].up[place - 1] & self.edges[row - up / 2].up[place - 1];
+                joints &= !at_hand(halves);
             }
             // Of a stretch of the same two runs, one is enough.
             joints &= !(joints << 1 & along & at_hand(self.edges[row - up].along));
@@ -306,9 +325,9 @@ impl Runs {
     /// The nearest row above that some columns of a row are joined to, and the first of them that
     /// is: rows up, and column.
     #[inline(always)]
-    fn joint(&self, row: usize, columns: u64, window_rows: usize) -> Option<(usize, usize)> {
-        let mut rows = self.edges[row].up[..window_rows].iter().zip(1..);
-        rows.find_map(|(near, up)| {
+    fn joint(&self, row: usize, columns: u64, above: &[usize]) -> Option<(usize, usize)> {
+        let mut rows = self.edges[row].up.iter().zip(above);
+        rows.find_map(|(near, &up)| {
             let joint = Bits(at_hand(*near) & columns).next()?;
             Some((up, joint))
         })
@@ -329,6 +348,7 @@ impl Runs {
         simd: S,
         beams: &Beams,
         ranges: &Ranges,
+        areas: &Areas,
         position: usize,
         components: &mut Components,
     ) {
@@ -356,6 +376,8 @@ impl Runs {
                 if count > 0 {
                     let pixel = columns.least(first, count) * rows + row;
                     sum = Sum::of_run(simd, &self.points, row, first, count, pixel);
+                    let lane = lane_of(row) + first;
+                    sum.area = areas.of(row, &ranges.steps[lane..lane + count]);
                     components.measure(simd, root, &sum);
                 }
                 if self.keeps_sums {

@@ -247,7 +247,7 @@ impl Seam {
             self.strips.go_on(image, ready);
         }
         while self.strips.find_ground(image, config) {
-            self.strips.join(config);
+            self.strips.join();
             self.strips.tell(image, config);
         }
     }

@@ -4,7 +4,6 @@
 use std::ops::RangeInclusive;
 
 use super::config::Config;
-use super::order::{MOST_COLUMNS, MOST_ROWS};
 
 /// Angles that a beta test can have, degrees; the ends are none.
 pub const THETA_DEG: RangeInclusive<f64> = 0.0..=90.0;
@@ -74,7 +73,6 @@ enum Field<'a> {
     /// Infinite where it is not set.
     Limit(&'a mut f32),
     Count(&'a mut u32),
-    Size(&'a mut usize),
 }
 
 /// All numbers that people set, in the order in which they are shown.
@@ -84,7 +82,7 @@ pub const SETTINGS: &[Setting] = &[
         table: Table::Segment,
         option: "theta",
         doc: "Two neighbouring returns are joined only if the line through them meets the beam at more than this angle (beta \
-              of the paper; with method slope only between rows), degrees",
+              of the paper; method paper), degrees",
         unit: Unit::Degrees,
         range: THETA_DEG,
         absent: "",
@@ -99,56 +97,6 @@ pub const SETTINGS: &[Setting] = &[
         range: 1.0..=ANY_COUNT,
         absent: "",
         field: |config| Field::Count(&mut config.min_points),
-    },
-    Setting {
-        key: "gap_m",
-        table: Table::Segment,
-        option: "gap",
-        doc: "Two returns are joined only if they are no further apart than this (method slope), metres",
-        unit: Unit::Metres,
-        range: 0.05..=5.0,
-        absent: "0.59 where most rows are at most 0.6 degrees apart, else 0.785",
-        field: |config| Field::Optional(&mut config.joining.gap_m),
-    },
-    Setting {
-        key: "window_columns",
-        table: Table::Segment,
-        option: "window-columns",
-        doc: "Columns to either side in which a return is joined to others (method slope)",
-        unit: Unit::Count,
-        range: 1.0..=MOST_COLUMNS as f64,
-        absent: "",
-        field: |config| Field::Size(&mut config.joining.columns),
-    },
-    Setting {
-        key: "window_rows",
-        table: Table::Segment,
-        option: "window-rows",
-        doc: "Rows up and down in which a return is joined to others (method slope)",
-        unit: Unit::Count,
-        range: 1.0..=MOST_ROWS as f64,
-        absent: "",
-        field: |config| Field::Size(&mut config.joining.rows),
-    },
-    Setting {
-        key: "small_points",
-        table: Table::Segment,
-        option: "small-points",
-        doc: "A component of fewer returns becomes part of one near by that has as many or more (method slope); 0 turns this off",
-        unit: Unit::Count,
-        range: 0.0..=ANY_COUNT,
-        absent: "",
-        field: |config| Field::Count(&mut config.joining.small_points),
-    },
-    Setting {
-        key: "small_reach_m",
-        table: Table::Segment,
-        option: "small-reach",
-        doc: "How much further than the gap a small component may be from the other one, metres",
-        unit: Unit::Metres,
-        range: 0.0..=5.0,
-        absent: "",
-        field: |config| Field::Number(&mut config.joining.small_reach_m),
     },
     Setting {
         key: "height_m",
@@ -202,6 +150,51 @@ pub const SETTINGS: &[Setting] = &[
     },
 ];
 
+/// A number of an earlier version that nothing reads any more. It is accepted with a warning, so
+/// that an upgrade leaves no robot without its sensor.
+#[derive(Debug)]
+pub struct Removed {
+    /// Key in `[sensor.segment]` of the configuration file.
+    pub key: &'static str,
+    /// Option of the command line, without its dashes.
+    pub option: &'static str,
+    /// What to do instead, or why it is not needed.
+    pub instead: &'static str,
+}
+
+/// All of them.
+pub const REMOVED: &[Removed] = &[
+    Removed::new("gap_m", "gap", "the gap grows with the range by itself"),
+    Removed::new("window_columns", "window-columns", WINDOW),
+    Removed::new("window_rows", "window-rows", WINDOW),
+    Removed::new("small_points", "small-points", SMALL),
+    Removed::new("small_reach_m", "small-reach", SMALL),
+    Removed::new("max_slope", "max-slope", GROUND),
+    Removed::new("max_kerb_m", "max-kerb", GROUND),
+];
+
+const WINDOW: &str = "the window follows the rows of the sensor by itself";
+const GROUND: &str = "the ground is told by what lies behind a rise; only the mount must be right";
+const SMALL: &str = "what is small is known by what it shows to the sensor";
+
+impl Removed {
+    const fn new(key: &'static str, option: &'static str, instead: &'static str) -> Self {
+        Self {
+            key,
+            option,
+            instead,
+        }
+    }
+
+    /// The warning, where it is called by this name.
+    pub fn warning(&self, name: &str) -> String {
+        format!(
+            "`{name}` is not needed any more and does nothing: {}",
+            self.instead
+        )
+    }
+}
+
 impl Setting {
     /// What a configuration has, in the units of people; `None` where it is not set.
     pub fn get(&self, config: &Config) -> Option<f64> {
@@ -212,7 +205,6 @@ impl Setting {
             Field::Optional(number) => number.map(as_written),
             Field::Limit(limit) => limit.is_finite().then(|| as_written(*limit)),
             Field::Count(count) => Some(f64::from(*count)),
-            Field::Size(size) => Some(*size as f64),
         }
     }
 
@@ -223,7 +215,6 @@ impl Setting {
             Field::Number(number) | Field::Limit(number) => *number = value as f32,
             Field::Optional(number) => *number = Some(value as f32),
             Field::Count(count) => *count = value as u32,
-            Field::Size(size) => *size = value as usize,
         }
     }
 
@@ -240,7 +231,6 @@ impl Setting {
             | (Field::Limit(to), Field::Limit(from)) => *to = *from,
             (Field::Optional(to), Field::Optional(from)) => *to = *from,
             (Field::Count(to), Field::Count(from)) => *to = *from,
-            (Field::Size(to), Field::Size(from)) => *to = *from,
             // A setting has one kind of field.
             _ => {}
         }

@@ -13,8 +13,9 @@
 
 use fearless_simd::{Level, Simd, dispatch, f32x16, mask32x16, prelude::*};
 
+use super::area::Areas;
 use super::climb::Climb;
-use super::components::Components;
+use super::components::{Components, Small};
 use super::config::Config;
 use super::joining;
 use super::labels::{Found, Labels};
@@ -35,6 +36,7 @@ pub(super) struct Strips {
     level: Level,
     climb: Climb,
     limits: Limits,
+    areas: Areas,
     /// Strips that were at hand, with the one that leads in.
     at: usize,
     /// Columns that are as they will be, while the sweep is not complete.
@@ -64,6 +66,7 @@ impl Strips {
             level,
             climb: Climb::default(),
             limits: Limits::default(),
+            areas: Areas::default(),
             at: 0,
             ready: None,
             beams: Beams::default(),
@@ -102,7 +105,7 @@ impl Strips {
         self.beams.reserve(columns);
         self.runs.begin(rows, pixels);
         self.windows.begin(rows);
-        self.components.reserve(pixels);
+        self.components.reserve(pixels, Small::new(&config.joining));
         self.labels.begin(rows, columns, sweep.segments.len());
         if let Some(objects) = &mut self.objects {
             objects.begin(sweep.header, ready.is_some());
@@ -180,15 +183,14 @@ impl Strips {
     }
 
     /// Joins the runs of that strip with each other and with those before.
-    pub fn join(&mut self, config: &Config) {
-        let window_rows = config.joining.rows;
+    pub fn join(&mut self) {
         let jumps = self.jumps;
         let components = &mut self.components;
-        dispatch!(self.level, simd => self.runs.advance(simd, window_rows, jumps, components));
+        dispatch!(self.level, simd => self.runs.advance(simd, jumps, components));
         dispatch!(self.level, simd => self.vote(simd));
-        dispatch!(self.level, simd => self.join_neighbours(simd, config));
+        dispatch!(self.level, simd => self.join_neighbours(simd));
         dispatch!(self.level, simd => self.measure(simd));
-        dispatch!(self.level, simd => self.join_windows(simd, config));
+        dispatch!(self.level, simd => self.join_windows(simd));
         dispatch!(self.level, simd => self.meet(simd));
     }
 
@@ -211,8 +213,7 @@ impl Strips {
             pitch_rad: self.pitch_rad,
         };
         if let Some(objects) = &mut self.objects {
-            let thresholds = [config.joining.small_points, config.min_points];
-            objects.follow(simd, strip, &mut self.components, thresholds);
+            objects.follow(simd, strip, &mut self.components, config.min_points);
         }
     }
 
@@ -227,7 +228,9 @@ impl Strips {
         let order = self.beams.order;
         if self.at == 0 {
             self.pitch_rad = joining::pitch_rad(sweep.columns, order);
-            self.limits.set(sweep.beams, self.pitch_rad, config);
+            self.limits
+                .set(sweep.beams, self.pitch_rad, &config.joining);
+            self.areas.set(sweep.beams, self.pitch_rad);
         }
         self.jumps = joining::jumps(sweep.columns, order, self.at * STRIP, self.pitch_rad);
         let position = self.at * STRIP + AHEAD;
@@ -295,7 +298,7 @@ impl Strips {
             let climbed = self.climb.ground[row];
             let ground = vote(simd, &self.ranges, row, climbed);
             let on = self.ranges.real[row][1] & !ground & joined;
-            self.runs.set_row(simd, &self.ranges, row, on);
+            self.runs.set_row(simd, &self.limits, &self.ranges, row, on);
             if counted != 0 {
                 self.labels.found.push(Found {
                     ground: ground & counted,
@@ -307,12 +310,11 @@ impl Strips {
 
     /// Runs, and what is joined to what is directly beside it.
     #[inline(always)]
-    fn join_neighbours<S: Simd>(&mut self, simd: S, config: &Config) {
-        let window_rows = config.joining.rows;
+    fn join_neighbours<S: Simd>(&mut self, simd: S) {
         self.runs.find_edges(simd, &self.limits);
         for row in 0..self.beams.rows() {
-            self.runs
-                .join_row(simd, row, window_rows, &mut self.components);
+            let above = self.limits.above;
+            self.runs.join_row(simd, row, above, &mut self.components);
         }
     }
 
@@ -321,8 +323,9 @@ impl Strips {
     fn measure<S: Simd>(&mut self, simd: S) {
         let position = self.position();
         let components = &mut self.components;
+        let (beams, ranges, areas) = (&self.beams, &self.ranges, &self.areas);
         self.runs
-            .measure(simd, &self.beams, &self.ranges, position, components);
+            .measure(simd, beams, ranges, areas, position, components);
         if self.counted() != 0 {
             self.labels.run_ends.push(self.runs.all.len());
         }
@@ -330,18 +333,14 @@ impl Strips {
 
     /// What is joined to what lies further away.
     #[inline(always)]
-    fn join_windows<S: Simd>(&mut self, simd: S, config: &Config) {
+    fn join_windows<S: Simd>(&mut self, simd: S) {
         self.windows.advance(self.beams.order, self.position());
         let components = &mut self.components;
         self.windows
             .join(simd, &self.limits, &mut self.runs, components);
-        let small_points = config.joining.small_points;
-        if small_points > 1 {
-            self.windows
-                .find_small(small_points, &self.runs, components);
-            self.windows
-                .note_small(simd, &self.limits, &self.ranges, &self.runs, components);
-        }
+        self.windows.find_small(&self.runs, components);
+        self.windows
+            .note_small(simd, &self.limits, &self.ranges, &self.runs, components);
     }
 
     /// Of a whole turn, notes the pieces of the first columns, or unites them with what these hold
@@ -373,12 +372,9 @@ impl Strips {
     fn label_with<S: Simd>(&mut self, simd: S, sweep: &mut SweepMut<'_>, config: &Config) {
         let order = self.beams.order;
         sweep.header.ground = self.labels.ground();
-        let segments = self.components.finish(
-            simd,
-            config.joining.small_points,
-            config.min_points,
-            sweep.segments,
-        );
+        let segments = self
+            .components
+            .finish(simd, config.min_points, sweep.segments);
         sweep.header.segments = segments as u32;
         let pixels = sweep.image_pixels();
         self.labels.write(

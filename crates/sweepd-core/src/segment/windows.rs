@@ -11,11 +11,11 @@
 //! hold; then those that hold something are looked at. When all rows are joined, the windows of
 //! small components are scanned again for what these may become part of.
 
-use fearless_simd::{Simd, i16x16, prelude::*, u16x16};
+use fearless_simd::{Simd, f32x16, i16x16, prelude::*, u16x16};
 
 use super::components::Components;
-use super::near::{Limits, Polygon, Tangents};
-use super::order::{BEFORE, LANES, MOST_COLUMNS, MOST_ROWS, Order, STRIDE, STRIP, lane_of};
+use super::near::{Gap, Limits, WindowRow, near};
+use super::order::{BEFORE, LANES, MOST_ABOVE, MOST_COLUMNS, Order, STRIDE, STRIP, lane_of};
 use super::ranges::Ranges;
 use super::runs::{Bits, Edges, Runs};
 
@@ -92,18 +92,29 @@ struct Hit {
     /// Lane of the pixel.
     pixel: usize,
     /// Row by row, from above: which of sixteen are near, and have another label.
-    near: [u16; 2 * MOST_ROWS + 1],
+    near: [u16; 2 * MOST_ABOVE + 1],
 }
 
 impl Hit {
-    /// Of each row that holds something: its place in the window, its first lane, and what is near.
-    fn rows(&self, side: Side, limits: &Limits) -> impl Iterator<Item = (usize, usize, u16)> {
-        let first = self.pixel - side.back() - limits.window_rows * STRIDE;
+    /// Of each row that holds something: how far below the pixel's it is, its first lane, and what
+    /// is near.
+    fn rows(&self, side: Side, window: &[WindowRow]) -> impl Iterator<Item = (isize, usize, u16)> {
         let mut holding = 0;
-        for (row, near) in self.near[..2 * limits.window_rows + 1].iter().enumerate() {
-            holding |= u64::from(*near != 0) << row;
+        for (place, near) in self.near[..window.len()].iter().enumerate() {
+            holding |= u64::from(*near != 0) << place;
         }
-        Bits(holding).map(move |row| (row, first + row * STRIDE, self.near[row]))
+        Bits(holding).map(move |place| {
+            let row = window[place];
+            (row.down, row.lane(self.pixel, side), self.near[place])
+        })
+    }
+}
+
+impl WindowRow {
+    /// The first of sixteen lanes of it in the window of a pixel.
+    #[inline(always)]
+    fn lane(self, pixel: usize, side: Side) -> usize {
+        (pixel - side.back()).wrapping_add_signed(self.down * STRIDE as isize)
     }
 }
 
@@ -154,19 +165,16 @@ impl Windows {
         runs: &mut Runs,
         components: &mut Components,
     ) {
-        // Where no pixel has a run, what lies to the right of one has it to the left.
-        let is_dust = runs.edges.iter().all(|edges| edges.along == 0);
-        let sides = if is_dust { &SIDES[..1] } else { &SIDES };
         for row in 0..runs.edges.len() {
             if runs.edges[row].on == 0 {
                 continue;
             }
-            for &side in sides {
+            for side in SIDES {
                 let ends = self.ends(runs, row, side);
-                let count = self.scan(simd, limits.gap, limits.window(row), runs, ends);
+                let count = self.scan(simd, limits, limits.gap, runs, ends);
                 for hit in &self.hits[..count] {
                     let open = side.open(hit.pixel, runs.jumps);
-                    for (_, lane, near) in hit.rows(side, limits) {
+                    for (_, lane, near) in hit.rows(side, limits.window(row)) {
                         unite(simd, hit.pixel, lane, near & open, runs, components);
                     }
                 }
@@ -176,14 +184,14 @@ impl Windows {
 
     /// Finds where runs of small components begin and end.
     #[inline(always)]
-    pub fn find_small(&mut self, small_points: u32, runs: &Runs, components: &mut Components) {
+    pub fn find_small(&mut self, runs: &Runs, components: &mut Components) {
         for [starts, ends] in &mut self.small {
             *starts = 0;
             *ends >>= STRIP;
         }
         for run in &runs.all[runs.from..] {
             let root = components.root(run.piece);
-            if components.points(root) < small_points {
+            if components.is_small(root) {
                 let [starts, ends] = &mut self.small[usize::from(run.row)];
                 *starts |= u128::from(1_u64 << run.first) << STRIP;
                 *ends |= u128::from(1_u64 << (run.end() - 1)) << STRIP;
@@ -208,19 +216,19 @@ impl Windows {
             for side in SIDES {
                 let mut ends = self.ends(runs, row, side);
                 ends.pixels &= side.columns(self.small[row][side as usize]);
-                let window = limits.window(row);
-                let count = self.scan(simd, limits.reach, window, runs, ends);
+                let count = self.scan(simd, limits, limits.reach, runs, ends);
                 for hit in &self.hits[..count] {
                     let open = side.open(hit.pixel, runs.jumps);
                     let small = components.root(runs.piece(hit.pixel));
                     let here_m = ranges.metres[hit.pixel];
-                    for (row, lane, near) in hit.rows(side, limits) {
+                    for (down, lane, near) in hit.rows(side, limits.window(row)) {
                         for ahead in Bits(u64::from(near & open)) {
                             let large = components.root(runs.piece(lane + ahead));
                             if large != small {
                                 let columns = side.back().abs_diff(ahead);
-                                let there_m = ranges.metres[lane + ahead];
-                                let apart2 = window[row].apart2(here_m, there_m, columns);
+                                let ranges_m = [here_m, ranges.metres[lane + ahead]];
+                                let rows = [row, row.wrapping_add_signed(down)];
+                                let apart2 = limits.apart2(rows, ranges_m, columns);
                                 components.note_near(small, large, apart2);
                             }
                         }
@@ -253,45 +261,50 @@ impl Windows {
     fn scan<S: Simd>(
         &mut self,
         simd: S,
-        polygon: Polygon,
-        window: &[Tangents],
+        limits: &Limits,
+        gap: Gap,
         runs: &Runs,
         ends: Ends,
     ) -> usize {
-        // As high as by default, it is a loop of a known length.
-        match <&[Tangents; 5]>::try_from(window) {
-            Ok(window) => self.scan_rows(simd, polygon, window, runs, ends),
-            Err(_) => self.scan_rows(simd, polygon, window, runs, ends),
+        let chords = limits.chords.window(simd, ends.side == Side::Left);
+        let window = limits.window(ends.row);
+        // Loops of known lengths: where beams are dense, and where they are sparse.
+        if let Ok(window) = <&[WindowRow; 7]>::try_from(window) {
+            self.scan_rows(simd, gap, chords, window, runs, ends)
+        } else if let Ok(window) = <&[WindowRow; 5]>::try_from(window) {
+            self.scan_rows(simd, gap, chords, window, runs, ends)
+        } else {
+            0
         }
     }
 
     #[inline(always)]
-    fn scan_rows<S: Simd>(
+    fn scan_rows<S: Simd, const ROWS: usize>(
         &mut self,
         simd: S,
-        polygon: Polygon,
-        window: &[Tangents],
+        gap: Gap,
+        chords: f32x16<S>,
+        window: &[WindowRow; ROWS],
         runs: &Runs,
         ends: Ends,
     ) -> usize {
-        let is_left = ends.side == Side::Left;
-        let back = window.len() / 2 * STRIDE + ends.side.back();
         let mut count = 0;
         for column in Bits(ends.pixels) {
             let pixel = lane_of(ends.row) - ends.side.late() + column;
-            let here = i16x16::splat(simd, runs.range[pixel]);
+            let flat = runs.flat[pixel];
+            let here = i16x16::splat(simd, flat);
+            let along = gap.along(f32x16::splat(simd, f32::from(flat)), chords);
             let mine = u16x16::splat(simd, runs.label[pixel]);
             let hit = &mut self.hits[count];
             hit.pixel = pixel;
-            let mut lane = pixel - back;
             let mut holds = 0;
-            for (tangents, hit) in window.iter().zip(&mut hit.near) {
-                let there = runs.range.load(simd, lane);
-                let near = polygon.near(here, there, tangents.window(simd, is_left));
+            for (row, hit) in window.iter().zip(&mut hit.near) {
+                let lane = row.lane(pixel, ends.side);
+                let there = runs.flat.load(simd, lane);
                 let is_other = !runs.label.load::<S, u16x16<S>>(simd, lane).simd_eq(mine);
-                *hit = (near & is_other).to_bitmask() as u16;
+                let near = (near(here, there, along) & is_other).to_bitmask() as u16;
+                *hit = if flat <= row.furthest { near } else { 0 };
                 holds |= *hit;
-                lane += STRIDE;
             }
             count += usize::from(holds != 0);
         }

@@ -414,10 +414,9 @@ impl Check<'_> {
             ConfigError::Theta { .. } => "theta_deg",
             ConfigError::Range { .. } if config.max_range_m.is_infinite() => "min_range_m",
             ConfigError::Range { .. } => "max_range_m",
-            ConfigError::Gap { .. } => "gap_m",
-            ConfigError::Window { .. } => "window_columns",
-            ConfigError::SmallReach { .. } => "small_reach_m",
             ConfigError::Height { .. } => "height_m",
+            // No key of a file sets it.
+            ConfigError::Gap { .. } => "",
         };
         let to_blame = numbers.find(|(setting, _)| setting.key == key);
         self.problem(
