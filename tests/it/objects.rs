@@ -173,7 +173,7 @@ fn around_cut(model: Model, max_width_rad: f32) -> usize {
     // stand on each other, and some are ground in one turn alone. Parts are cut otherwise.
     let has_parts = max_width_rad < MAX_WIDTH_RAD;
     assert!(
-        has_parts || 10 * alike >= 9 * around.len(),
+        has_parts || 15 * alike >= 14 * around.len(),
         "{model}: {alike}"
     );
     assert!(

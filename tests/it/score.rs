@@ -589,7 +589,8 @@ fn methods_are_compared_over_their_parameters() {
         .collect();
     let expected = [
         ("slope theta 10.0", 1.0),
-        ("slope theta 89.0", 0.0),
+        // The default has no theta.
+        ("slope theta 89.0", 1.0),
         ("paper theta 10.0", 1.0),
         ("paper theta 89.0", 0.0),
         ("euclidean distance 0.5", 1.0),

@@ -530,7 +530,7 @@ mod tests {
     #[test]
     fn a_kerb_is_ground_where_the_way_goes_on_level() {
         assert_eq!(
-            find(&[(9.0, -1.57), (8.3, -1.575), (8.02, -1.58), (7.9, -1.7)]),
+            find(&[(9.1, -1.57), (8.3, -1.575), (8.02, -1.58), (7.9, -1.7)]),
             0b1111
         );
         assert_eq!(
@@ -600,6 +600,7 @@ mod tests {
     #[test]
     fn a_ramp_is_ground() {
         let low = [
+            (7.2, 0.433),
             (5.62, 0.302),
             (4.176, 0.181),
             (3.318, 0.11),
@@ -607,6 +608,7 @@ mod tests {
             (2.345, 0.029),
         ];
         let steep = [
+            (5.2, 0.48),
             (4.18, 0.327),
             (3.458, 0.219),
             (2.947, 0.142),
@@ -618,7 +620,7 @@ mod tests {
                 .into_iter()
                 .chain([(2.04, 0.004), (1.733, 0.0), (1.493, 0.0)])
                 .collect();
-            assert_eq!(find_low(&column), 0b1111_1111);
+            assert_eq!(find_low(&column), 0b1_1111_1111);
         }
     }
 

@@ -61,7 +61,7 @@ pub(super) const MAX_FOOT: i16 = height(0.02);
 pub(super) const MAX_KERB: i16 = height(0.2);
 /// How far the way has to go on level behind what waits. Lower boxes that are deeper than this are
 /// taken for kerbs.
-pub(super) const PLATEAU: i16 = away(0.7);
+pub(super) const PLATEAU: i16 = away(1.0);
 /// How far what lies level on an object belongs to it.
 pub(super) const MAX_TOP: i16 = away(1.5);
 
