@@ -9,7 +9,9 @@
 
 use std::collections::BTreeMap;
 
-use sweepd::cast::{Drawn, Kind, Scene, Sector, Sensor, Thing, kerb, ramp, small_box, step_down};
+use sweepd::cast::{
+    Drawn, Kind, Scene, Sector, Sensor, Thing, island, kerb, ramp, small_box, step_down,
+};
 use sweepd::sensor::Model;
 
 /// Heights of the mount, metres.
@@ -32,17 +34,20 @@ const AHEAD: Sector = Sector {
 };
 /// Ground by how far ahead it changes, metres.
 type Changing = fn(f64) -> Scene;
-/// What is ground though it is not level with the floor: piece 2 of each scene, that of a ramp with
-/// the ramp itself.
-const GROUNDS: [(&str, Changing); 4] = [
-    ("ramp 1:12", |ahead_m| ramp(1.0 / 12.0, ahead_m)),
-    ("ramp 15 %", |ahead_m| ramp(0.15, ahead_m)),
-    ("pavement, kerb 0.12 m", kerb),
-    ("floor, step down 0.2 m", step_down),
+/// What is ground though it is not level with the floor: pieces of each scene, not the faces of a
+/// kerb and of a step.
+const GROUNDS: [(&str, Changing, &[usize]); 5] = [
+    ("ramp 1:12", |ahead_m| ramp(1.0 / 12.0, ahead_m), &[1, 2]),
+    ("ramp 15 %", |ahead_m| ramp(0.15, ahead_m), &[1, 2]),
+    ("pavement, kerb 0.12 m", kerb, &[2]),
+    ("island 2 m wide, kerb 0.12 m", island, &[2]),
+    ("floor, step down 0.2 m", step_down, &[2]),
 ];
 
 /// Boxes that are drawn.
 const DRAWN: u64 = 1500;
+/// How far another box stands behind one, metres.
+const BEHIND_M: [f64; 6] = [0.3, 0.6, 0.9, 1.2, 1.5, 2.0];
 
 fn main() {
     let mounts = Drawn::MODELS.map(|model| HEIGHTS_M.map(|height_m| (model, height_m)));
@@ -56,8 +61,10 @@ fn main() {
     let heading = Thing::ALL.map(Thing::name);
     print_table(&heading, lines.iter().map(|[_, things, _]| things));
     println!("\nShare of returns within 10 m that is ground, the least:\n");
-    let heading = GROUNDS.map(|(name, _)| name.to_owned());
+    let heading = GROUNDS.map(|(name, ..)| name.to_owned());
     print_table(&heading, lines.iter().map(|[.., grounds]| grounds));
+    print_pairs();
+    print_wrong_pitch();
     print_drawn();
 }
 
@@ -91,7 +98,7 @@ fn lines(model: Model, height_m: f64) -> [Vec<String>; 3] {
             .to_vec(),
         Thing::ALL.map(|thing| reach(&mut sensor, thing)).to_vec(),
         GROUNDS
-            .map(|(_, scene)| ground(&mut sensor, scene))
+            .map(|(_, scene, pieces)| ground(&mut sensor, scene, pieces))
             .to_vec(),
     ];
     for table in &mut tables {
@@ -142,19 +149,65 @@ fn reach(sensor: &mut Sensor, thing: Thing) -> String {
 }
 
 /// The least share over the distances.
-fn ground(sensor: &mut Sensor, scene: Changing) -> String {
-    let shares = GROUND_AHEAD_M.map(|ahead_m| {
-        let scene = scene(ahead_m);
-        let corners = &scene.ground.0;
-        // The faces of a kerb and of a step are no ground to drive on.
-        let pieces: &[usize] = match corners[0][0] == corners[1][0] {
-            true => &[2],
-            false => &[1, 2],
-        };
-        sensor.look(&scene, &AHEAD).ground_share(pieces)
-    });
+fn ground(sensor: &mut Sensor, scene: Changing, pieces: &[usize]) -> String {
+    let shares =
+        GROUND_AHEAD_M.map(|ahead_m| sensor.look(&scene(ahead_m), &AHEAD).ground_share(pieces));
     let least = shares.into_iter().flatten().min_by(f64::total_cmp);
     least.map_or("-".to_owned(), |share| format!("{share:.3}"))
+}
+
+/// How many boxes are seen with another one like them behind, of those that are seen alone: a column
+/// may take the two for a pavement.
+fn print_pairs() {
+    let models = by_two(&Drawn::MODELS, |&model| {
+        let (mut alone, mut before_another) = (0, 0);
+        for height_m in [0.4, 0.9] {
+            let mut sensor = Sensor::new(model, height_m);
+            for tall_m in [0.15, 0.2, 0.3] {
+                for ahead_m in [1.0, 1.5, 2.0, 3.0] {
+                    let first = small_box(tall_m, ahead_m + 0.15, 0.0);
+                    let sector = Sector::around(std::slice::from_ref(&first));
+                    let scene = Scene::with(vec![first]);
+                    if !sensor.look(&scene, &sector).sees(0) {
+                        continue;
+                    }
+                    for behind_m in BEHIND_M {
+                        let second = small_box(tall_m, ahead_m + 0.45 + behind_m, 0.0);
+                        let scene = Scene::with(vec![first, second]);
+                        alone += 1;
+                        before_another += usize::from(sensor.look(&scene, &sector).sees(0));
+                    }
+                }
+            }
+        }
+        format!("{model} {before_another} of {alone}")
+    });
+    println!(
+        "\nBoxes that are seen alone, and with another one behind:\n\n{}.",
+        models.join(", ")
+    );
+}
+
+/// How much of a level floor is an object where the pitch is told wrong by a degree.
+fn print_wrong_pitch() {
+    let mut room = Scene::with(Vec::new());
+    room.walls_m = 8.0;
+    let models = by_two(&Drawn::MODELS, |&model| {
+        let mut worst: f64 = 0.0;
+        for height_m in [0.4, 0.9, 1.8] {
+            for error_deg in [-1.0_f64, 1.0] {
+                let mut sensor = Sensor::new(model, height_m);
+                sensor.pitch_error_rad = error_deg.to_radians();
+                let view = sensor.look(&room, &Sector::TURN);
+                worst = worst.max(view.object_share(&[0, 1]).unwrap_or(0.0));
+            }
+        }
+        format!("{model} {worst:.4}")
+    });
+    println!(
+        "\nOf a level floor within 10 m at most so much is an object if the pitch is told wrong by 1 degree:\n\n{}.",
+        models.join(", ")
+    );
 }
 
 /// How many boxes of the drawn ones are seen, by kind, and which are not.

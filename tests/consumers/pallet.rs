@@ -125,16 +125,11 @@ fn of_nearest(line: &str) -> Option<f64> {
 }
 
 #[test]
-#[ignore = "the ground rule that sees small obstacles follows"]
 fn a_pallet_stops_the_rust_example() {
     stops(&[rust_example("stop").as_os_str()], of_stop);
 }
 
 #[test]
-#[cfg_attr(
-    not(without_python),
-    ignore = "the ground rule that sees small obstacles follows"
-)]
 #[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn a_pallet_stops_the_python_examples() {
     let python = python_with_iceoryx2();

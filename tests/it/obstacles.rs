@@ -9,7 +9,6 @@ const DRAWN: u64 = 250;
 const AHEAD_M: [f64; 2] = [1.5, 3.0];
 
 #[test]
-#[ignore = "the ground rule that sees small obstacles follows"]
 fn boxes_are_seen() {
     let judged = (0..DRAWN).filter_map(|number| {
         let mut drawn = Drawn::new(number);
@@ -54,7 +53,6 @@ fn least_ground(
 }
 
 #[test]
-#[ignore = "the ground rule that sees small obstacles follows"]
 fn ramps_are_ground() {
     for slope in [1.0 / 12.0, 0.15] {
         let (share, what) = least_ground(&[0.4, 0.9], &[1, 2], |ahead_m| ramp(slope, ahead_m));
@@ -69,7 +67,6 @@ fn the_pavement_behind_a_kerb_is_ground() {
 }
 
 #[test]
-#[ignore = "the ground rule that sees small obstacles follows"]
 fn the_floor_below_a_step_is_ground() {
     let (share, what) = least_ground(&[0.4, 0.9, 1.8], &[2], step_down);
     assert!(share >= 0.95, "{share} of {what}");

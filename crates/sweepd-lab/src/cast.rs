@@ -18,5 +18,5 @@ pub use draw::{Drawn, Kind};
 pub use scene::{Ground, Ray, Scene, Solid, What};
 pub use sensor::{Sector, Sensor};
 pub use spin::Spin;
-pub use things::{KERB_M, STEP_M, Thing, kerb, ramp, small_box, step_down};
+pub use things::{Thing, island, kerb, ramp, small_box, step_down};
 pub use view::{Found, View};

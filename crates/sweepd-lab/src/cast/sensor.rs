@@ -25,6 +25,8 @@ pub struct Sensor {
     pub pitch_rad: f64,
     /// Right side down, radians.
     pub roll_rad: f64,
+    /// How much more its pitch is told to be, radians.
+    pub pitch_error_rad: f64,
     /// Standard deviation of its ranges, metres.
     pub noise_m: f64,
     /// Of the noise.
@@ -108,6 +110,7 @@ impl Sensor {
             height_m,
             pitch_rad: 0.0,
             roll_rad: 0.0,
+            pitch_error_rad: 0.0,
             noise_m: 0.01,
             seed: 1,
             beams: beams(model),
@@ -216,7 +219,7 @@ impl Sensor {
     fn segmenter(&mut self) -> &mut Segmenter {
         let mount = Mount {
             height_m: Some(self.height_m as f32),
-            pitch_rad: self.pitch_rad as f32,
+            pitch_rad: (self.pitch_rad + self.pitch_error_rad) as f32,
             roll_rad: self.roll_rad as f32,
         };
         let kept = self.segmenter.take();

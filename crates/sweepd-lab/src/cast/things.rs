@@ -5,9 +5,9 @@ use std::f64::consts::FRAC_PI_2;
 use super::{Ground, Scene, Solid};
 
 /// How high a kerb is, metres.
-pub const KERB_M: f64 = 0.12;
+const KERB_M: f64 = 0.12;
 /// How deep a step is, metres.
-pub const STEP_M: f64 = 0.2;
+const STEP_M: f64 = 0.2;
 /// How long a ramp is, metres.
 const RAMP_M: f64 = 5.0;
 
@@ -101,6 +101,17 @@ pub fn ramp(slope: f64, ahead_m: f64) -> Scene {
 /// A kerb this far ahead, metres, and the pavement behind it: piece 2.
 pub fn kerb(ahead_m: f64) -> Scene {
     Scene::of_ground(Ground(vec![[ahead_m, 0.0], [ahead_m, KERB_M]]))
+}
+
+/// An island as high as a kerb, 2 m wide, this far ahead, metres: piece 2.
+pub fn island(ahead_m: f64) -> Scene {
+    let (near, far) = (ahead_m, ahead_m + 2.0);
+    Scene::of_ground(Ground(vec![
+        [near, 0.0],
+        [near, KERB_M],
+        [far, KERB_M],
+        [far, 0.0],
+    ]))
 }
 
 /// A step down this far ahead, metres, and the floor below it: piece 2.
