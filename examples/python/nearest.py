@@ -1,8 +1,9 @@
 """Prints the nearest obstacle in a box ahead of the robot, in its frame (x right, y ahead, z up): nearest.py SENSOR.
 
 The box stands on the floor: the robot's origin lies there, so `z_m` of `[sensor.mount]` is the height of the sensor over it.
-sweepd does not see what two rows of beams do not strike, nor all that is low: `cargo run --release --example obstacles`
-prints the smallest box by sensor, height and distance. Nor does it see holes and steps down.
+Silence is no leave to go on: what lies nearer than the lowest beam, or than the box, is not seen any more. Few returns or a
+single row may have no label, a low thing deeper than 1 m can pass for a pavement (a pallet from its narrow side), and holes and
+steps down are no objects: `cargo run --release --example obstacles` prints what is seen by sensor, height and distance.
 """
 
 import sys
@@ -13,9 +14,17 @@ import sweepd
 # The box: least and greatest x, y and z, metres.
 BOX_M = np.array([[-1.0, 0.5, 0.05], [1.0, 5.0, 2.0]])
 
-for sweep in sweepd.Client(sys.argv[1]):
+client = sweepd.Client(sys.argv[1])
+while True:
+    sweep = client.next(timeout=1.0)
+    if sweep is None:
+        print(f"nothing is heard of {sys.argv[1]}", file=sys.stderr, flush=True)
+        continue
+    if sweep.header["height_m"] == 0:
+        print(f"the height of {sweep.name} is not known yet", file=sys.stderr, flush=True)
+        continue
     if sweep.header["position_m"][2] <= 0:
-        print(f"{sweep.name} has no z_m in [sensor.mount]: where is the floor?", file=sys.stderr)
+        print(f"{sweep.name} has no z_m in [sensor.mount]: where is the floor?", file=sys.stderr, flush=True)
         continue
     points = sweep.points("robot")
     is_within = ((points > BOX_M[0]) & (points < BOX_M[1])).all(axis=-1)

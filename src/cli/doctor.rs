@@ -8,8 +8,8 @@ use std::time::Duration;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::CliError;
 use super::options::{Listening, within};
+use super::{CliError, complain};
 use crate::beams;
 use crate::daemon::config::Config;
 use crate::doctor::diagnose::sweep_bytes;
@@ -56,7 +56,13 @@ pub struct Args {
 impl Args {
     fn plan(&self) -> Result<Plan, CliError> {
         let mut plan = match &self.config {
-            Some(file) => Plan::of(&Config::read(file)?),
+            Some(file) => {
+                let config = Config::read(file)?;
+                for warning in &config.warnings {
+                    complain("warning", warning);
+                }
+                Plan::of(&config)
+            }
             None => {
                 let listening = &self.listening;
                 let interface = listening.interface.as_deref();

@@ -112,7 +112,7 @@ pub enum WhichReturn {
 /// Values of `--method`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum GroundMethod {
-    /// Ground by slope, column by column, from the sensor outwards; joins by distance and angle
+    /// Ground by slope, column by column, from the sensor outwards; joins what stands close beside each other
     Slope,
     /// As in the paper: ground by smoothed inclination, from the lowest row; joins by angle alone
     Paper,

@@ -20,8 +20,6 @@ const COLUMNS: [(i32, &str); 5] = [
     (480, "x × y × z"),
     (570, "points"),
 ];
-/// Least height of listed segments, metres.
-const LOW_M: f32 = 0.2;
 /// A swatch.
 const SWATCH: Size = Size::new(32, 16);
 
@@ -41,7 +39,7 @@ pub fn draw(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>) {
     draw_meanings(page, area.top_left);
     let mut at = area.top_left + Point::new(0, MEANINGS.len() as i32 * LINE + 20);
     let end = page.heading(at, "nearest segments");
-    let remark = "over 0.2 m high; boxes in metres";
+    let remark = "boxes in metres";
     page.text(Point::new(end + 14, at.y), remark, NOTE);
     at.y += 28;
     for (right, name) in COLUMNS {
@@ -51,12 +49,7 @@ pub fn draw(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>) {
     if sweep.segments.is_empty() {
         page.text(at, "none in this sweep", NOTE);
     }
-    // Slivers of kerb would be the nearest of all, and are of no interest.
-    let mut segments: Vec<&Segment> = sweep
-        .segments
-        .iter()
-        .filter(|one| one.max_m[2] - one.min_m[2] > LOW_M)
-        .collect();
+    let mut segments: Vec<&Segment> = sweep.segments.iter().collect();
     segments.sort_by(|a, b| a.nearest_m.total_cmp(&b.nearest_m));
     let bottom = area.top_left.y + area.size.height as i32;
     let room = ((bottom - at.y) / LINE).max(0) as usize;

@@ -53,11 +53,11 @@ pub const MAX_GAP_M: f32 = 1.4;
 
 /// Rows of dense beams are no further apart than this, degrees: those of an HDL-64E are 0.3 to 0.5
 /// apart, those of an HDL-32E 1.33.
-pub(super) const DENSE_DEG: f32 = 0.6;
+const DENSE_DEG: f32 = 0.6;
 
 /// Whether beams are dense: most rows are near to the next one. The number of rows does not tell:
 /// of the 32 of a VLP-32C, 18 are 0.33 degrees apart.
-pub fn are_dense(beams: &[BeamRow]) -> bool {
+pub(super) fn are_dense(beams: &[BeamRow]) -> bool {
     let is_near = |pair: &&[BeamRow]| {
         (pair[0].elevation_rad - pair[1].elevation_rad).abs() <= DENSE_DEG.to_radians()
     };

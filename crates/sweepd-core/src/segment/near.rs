@@ -39,8 +39,8 @@ const HIGHEST_M: f32 = 1.0;
 
 /// How many rows up a return is joined to, where beams are sparse and where they are
 /// [dense](are_dense). Each is twice the one before.
-const SPARSE: &[usize] = &[1, 2];
-const DENSE: &[usize] = &[1, 2, 4];
+pub(super) const SPARSE: &[usize] = &[1, 2];
+pub(super) const DENSE: &[usize] = &[1, 2, 4];
 
 /// How far apart beside each other near returns may be.
 #[derive(Clone, Copy, Debug, Default)]

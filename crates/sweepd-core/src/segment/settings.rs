@@ -164,7 +164,7 @@ pub struct Removed {
 
 /// All of them.
 pub const REMOVED: &[Removed] = &[
-    Removed::new("gap_m", "gap", "the gap grows with the range by itself"),
+    Removed::new("gap_m", "gap", GAP),
     Removed::new("window_columns", "window-columns", WINDOW),
     Removed::new("window_rows", "window-rows", WINDOW),
     Removed::new("small_points", "small-points", SMALL),
@@ -173,9 +173,11 @@ pub const REMOVED: &[Removed] = &[
     Removed::new("max_kerb_m", "max-kerb", GROUND),
 ];
 
-const WINDOW: &str = "the window follows the rows of the sensor by itself";
-const GROUND: &str = "the ground is told by what lies behind a rise; only the mount must be right";
-const SMALL: &str = "what is small is known by what it shows to the sensor";
+const GAP: &str = "the gap is what 2 degrees span, 0.25 m at least and 0.65 m at most";
+const WINDOW: &str = "the window is chosen by the rows of the sensor";
+const SMALL: &str = "what is small is told by the area that it shows to the sensor";
+const GROUND: &str =
+    "the ground is told by what lies behind a rise; only `[sensor.mount]` must be right";
 
 impl Removed {
     const fn new(key: &'static str, option: &'static str, instead: &'static str) -> Self {
@@ -189,7 +191,7 @@ impl Removed {
     /// The warning, where it is called by this name.
     pub fn warning(&self, name: &str) -> String {
         format!(
-            "`{name}` is not needed any more and does nothing: {}",
+            "`{name}` is no setting any more and does nothing: {}",
             self.instead
         )
     }

@@ -14,7 +14,7 @@
 use fearless_simd::{Simd, f32x16, i16x16, prelude::*, u16x16};
 
 use super::components::Components;
-use super::near::{Gap, Limits, WindowRow, near};
+use super::near::{DENSE, Gap, Limits, SPARSE, WindowRow, near};
 use super::order::{BEFORE, LANES, MOST_ABOVE, MOST_COLUMNS, Order, STRIDE, STRIP, lane_of};
 use super::ranges::Ranges;
 use super::runs::{Bits, Edges, Runs};
@@ -268,6 +268,7 @@ impl Windows {
     ) -> usize {
         let chords = limits.chords.window(simd, ends.side == Side::Left);
         let window = limits.window(ends.row);
+        const { assert!(DENSE.len() == 3 && SPARSE.len() == 2) };
         // Loops of known lengths: where beams are dense, and where they are sparse.
         if let Ok(window) = <&[WindowRow; 7]>::try_from(window) {
             self.scan_rows(simd, gap, chords, window, runs, ends)
