@@ -216,15 +216,18 @@ impl Tab {
             "document.querySelector('[data-save={kind}]').click()"
         ));
         let begun = Instant::now();
-        while !path.exists() {
+        // Chromium takes the name with an empty file, and renames the whole one to it.
+        loop {
+            match fs::read(path) {
+                Ok(bytes) if !bytes.is_empty() => return bytes,
+                _ => std::thread::sleep(Duration::from_millis(20)),
+            }
             assert!(
                 begun.elapsed() < PATIENCE,
                 "{} is not saved",
                 path.display()
             );
-            std::thread::sleep(Duration::from_millis(20));
         }
-        fs::read(path).unwrap()
     }
 
     fn press(&mut self, key: &str) {
