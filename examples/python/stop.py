@@ -1,9 +1,9 @@
 """Says "stop" while an object reaches into a box ahead of the robot, and how old its newest return is: stop.py SENSOR.
 
-The box stands on the floor: the robot's origin lies there, so `z_m` of `[sensor.mount]` is the height of the sensor over it.
-No output does not mean that the way is free. What lies nearer than the lowest beam, or than the box, is not seen any more. What
-one row alone strikes can be ground, and so can a low thing that is deeper than 1 m, or a pallet. Holes and steps down are no
-objects. `cargo run --release --example obstacles` prints what is seen by sensor, height and distance.
+The box stands on the floor: the robot's origin lies there, so `z_m` of `[sensor.mount]` is the sensor's height over it.
+No output does not mean that the way is free. What lies nearer than the lowest beam, or than the box, is not seen any
+more. What one row alone strikes can be ground, and so can a low thing that is deeper than 1 m, or a pallet. Holes and
+steps down are no objects. `cargo run --release --example obstacles` prints what is seen by sensor, height and distance.
 """
 
 import sys
