@@ -87,9 +87,10 @@ fn every_peer_gets_every_cloud_as_shared_memory_has_it() {
         roof: Consumer::start(&world.domain(), "roof"),
         front: Consumer::start(&world.domain(), "front"),
     };
+    // At half their pace: four peers and as many consumers share two cores.
     let _feeds = [
-        world.feed("roof", vlp16, "1"),
-        world.feed("front", hdl64e, "1"),
+        world.feed("roof", vlp16, "0.5"),
+        world.feed("front", hdl64e, "0.5"),
     ];
     let health = world.health();
     let health: Vec<&str> = health.iter().map(String::as_str).collect();
@@ -436,7 +437,7 @@ fn check_diagnostics(statuses: &Value) {
         (&json!("VLP-16"), &json!("streaming"))
     );
     let number = |key: &str| values[key].as_str().unwrap().parse::<f64>().unwrap();
-    assert!((7.0..13.0).contains(&number("sweeps/s")), "{values}");
+    assert!((3.5..6.5).contains(&number("sweeps/s")), "{values}");
     assert!(
         number("points computed") > 100.0 && number("points subscribers") == 4.0,
         "{values}"

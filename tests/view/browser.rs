@@ -633,9 +633,10 @@ fn keys_time_line_and_sliders_do_what_they_say() {
 fn a_simulation_is_drawn_as_it_turns() {
     let view = View::start(&["--simulate", "vlp16"]);
     let mut tab = Tab::open(&format!("http://{}/", view.host));
-    tab.wait_for("window.sweepd.sweeps > 20");
+    // It has 100 sweeps, and a late browser draws only some of them.
+    tab.wait_for("window.sweepd.sweeps > 2");
     let index = tab.number("window.sweepd.index");
-    tab.wait_for(&format!("window.sweepd.index > {index} + 5"));
+    tab.wait_for(&format!("window.sweepd.index > {index}"));
     assert!(tab.number("window.sweepd.points") > 10_000);
     tab.picture("simulated_vlp16");
     tab.close();
