@@ -22,8 +22,8 @@ use std::time::{Duration, Instant};
 
 use sweepd::capture::{Capture, UdpConfig, UdpSource};
 use sweepd::client::{Client, Domain};
-use sweepd::sensor::Model;
 use sweepd::sensor::model::Spec;
+use sweepd::sensor::{Model, ModelExt};
 use sweepd::simulate::{Emitter, EmitterConfig, fixtures};
 use sweepd::wire::DataPacket;
 use sweepd::wire::data::ReturnMode;

@@ -6,13 +6,14 @@
 
 use divan::counter::{BytesCount, ItemsCount};
 use divan::{Bencher, black_box};
+use sweepd::buffers::HeapBuffer;
+use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::messages::{Cloud, Layout, MessageHeader, Stamp, image, markers};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::Model;
 use sweepd::simulate::{Emitter, EmitterConfig, fixtures};
-use sweepd::sweep::buffers::HeapBuffer;
+use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::flags;
-use sweepd::sweep::{HeapBuffers, Memory, SweepRef};
 use sweepd::wire::data::ReturnMode;
 
 fn main() {

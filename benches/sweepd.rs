@@ -15,13 +15,14 @@ use sweepd::admission::{DiscoveredSensors, Route};
 use sweepd::assemble::builder::{Builder, BuilderConfig};
 use sweepd::assemble::decode::Decoder;
 use sweepd::assemble::order::PacketOrder;
+use sweepd::buffers::OpenBuffer;
+use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::capture::Capture;
 use sweepd::pipeline::{Config, Pipeline};
-use sweepd::sensor::{Calibration, Model};
+use sweepd::sensor::{Calibration, Model, ModelExt};
 use sweepd::simulate::{Emitter, EmitterConfig, fixtures};
-use sweepd::sweep::buffers::OpenBuffer;
+use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::ReturnChoice;
-use sweepd::sweep::{HeapBuffers, Memory, SweepRef};
 use sweepd::wire::DataPacket;
 use sweepd::wire::data::ReturnMode;
 

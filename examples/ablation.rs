@@ -15,11 +15,11 @@ use std::error::Error;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use sweepd::buffers::HeapBuffer;
 use sweepd::cloud::{self, CloudProjector, CloudSegmenter};
 use sweepd::score::{Baseline, ScanScore, Truth};
 use sweepd::segment::{Config, Joining, Method, Segmenter};
 use sweepd::sweep::SweepMut;
-use sweepd::sweep::buffers::HeapBuffer;
 
 use tables::{DECIMALS, HEADING, INSTANCE_POINTS, Scored, figures, instances};
 

@@ -2,8 +2,8 @@
 //! depends on where the user sets it.
 
 use sweepd_core::pipeline::Fault;
-use sweepd_core::sensor::Model;
 use sweepd_core::sensor::detect::DetectError;
+use sweepd_core::sensor::{Model, ModelExt};
 
 /// Where the user sets options, which decides their names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,16 +65,16 @@ fn cure_model(error: &DetectError, dialect: Dialect) -> String {
             given: true,
             timing,
             ..
-        } => format!("leave {key} away, or give {}", timing.spec().flag),
+        } => format!("leave {key} away, or give {}", timing.flag()),
         DetectError::Contradiction { timing, .. } => {
-            format!("if it is one, give {} with {key}", timing.spec().flag)
+            format!("if it is one, give {} with {key}", timing.flag())
         }
         DetectError::Layout { banks, .. } => {
             let fitting = Model::ALL
                 .into_iter()
                 .map(|model| model.spec())
                 .filter(|spec| banks.count() == Some(spec.banks()))
-                .map(|spec| spec.flag);
+                .map(|spec| spec.model.flag());
             let flags = fitting.collect::<Vec<_>>().join(", ");
             format!("leave {key} away, or give one of {flags}")
         }
@@ -91,7 +91,7 @@ fn cure_model(error: &DetectError, dialect: Dialect) -> String {
 /// The supported models, for a sentence.
 fn supported() -> String {
     Model::ALL
-        .map(|model| format!("{model} ({})", model.spec().flag))
+        .map(|model| format!("{model} ({})", model.flag()))
         .join(", ")
 }
 

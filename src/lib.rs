@@ -13,7 +13,8 @@
 //! ```
 //! use sweepd::capture::Capture;
 //! use sweepd::pipeline::{Config, Pipeline};
-//! use sweepd::sweep::{HeapBuffers, Memory, SweepRef};
+//! use sweepd::buffers::{HeapBuffers, Memory};
+//! use sweepd::sweep::{SweepRef};
 //!
 //! let mut capture = Capture::open("pcap_fixtures/street_vlp16.pcap.gz")?;
 //! let mut pipeline = Pipeline::new("roof", Config::default())?;
@@ -91,7 +92,7 @@ pub mod web_interface;
 pub const VERSION: &str = env!("SWEEPD_VERSION");
 
 pub use sweepd_client::{client, host, publish};
-pub use sweepd_core::{assemble, pipeline, segment, sensor, sweep, wire};
+pub use sweepd_core::{assemble, buffers, pipeline, segment, sensor, sweep, wire};
 #[cfg(feature = "lab")]
 pub use sweepd_lab::{cast, cloud, score, simulate};
 pub use sweepd_messages as messages;

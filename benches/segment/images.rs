@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 
 use fastrand::Rng;
 use sweepd::admission::{DiscoveredSensors, Route};
+use sweepd::buffers::HeapBuffer;
+use sweepd::buffers::{Buffers, HeapBuffers, Memory};
 use sweepd::capture::Capture;
 use sweepd::cloud::{self, CloudProjector};
 use sweepd::pipeline::{Config, Pipeline};
@@ -13,9 +15,8 @@ use sweepd::sensor::{Beam, Model};
 use sweepd::simulate::shape::Ray;
 use sweepd::simulate::view::View;
 use sweepd::simulate::{Emitter, EmitterConfig, Setting, fixtures};
-use sweepd::sweep::buffers::HeapBuffer;
 use sweepd::sweep::layout::{flags, is_return};
-use sweepd::sweep::{BeamRow, Buffers, Column, HeapBuffers, Memory, Shape, SweepMut, SweepRef};
+use sweepd::sweep::{Column, Shape, SweepMut, SweepRef};
 use sweepd::wire::data::ReturnMode;
 
 /// Height of the sensor over the ground in the images that are made here, metres.
@@ -304,7 +305,7 @@ fn made(
         );
     }
     for (row, beam) in sweep.beams.iter_mut().enumerate() {
-        *beam = BeamRow::new(&Beam::ideal(row, elevation_rad(row, rows)), 0);
+        *beam = Beam::ideal(row, elevation_rad(row, rows)).row(0);
     }
     for (index, range) in sweep.range.iter_mut().enumerate() {
         *range = range_m(index % rows, index / rows).unwrap_or(0.0);

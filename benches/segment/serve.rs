@@ -10,8 +10,9 @@ use std::error::Error;
 use std::io::BufRead;
 use std::time::Instant;
 
+use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::segment::{Config, Segmenter};
-use sweepd::sweep::{Buffers, HeapBuffers, SweepMut};
+use sweepd::sweep::SweepMut;
 
 /// Nanoseconds of a whole segmentation, and of what remains of it when the last column comes.
 fn measure(

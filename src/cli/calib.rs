@@ -142,7 +142,7 @@ fn fitting_models(calibration: &Calibration) -> String {
     let mut models: Vec<&str> = Vec::new();
     for model in Model::ALL {
         if calibration.clone().for_model(model).is_ok() {
-            models.push(model.spec().name);
+            models.push(model.name());
         }
     }
     if models.is_empty() {

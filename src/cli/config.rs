@@ -3,6 +3,7 @@
 use std::fmt::{Display, Write as _};
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
+use sweepd_core::sensor::ModelExt;
 
 use super::{CliError, complain};
 use crate::daemon::config::{Config, RecordConfig, SensorConfig, memory};

@@ -23,7 +23,7 @@ pub(super) fn model(text: &str) -> Result<Model, String> {
     text.parse().map_err(|error: UnknownModel| {
         match nearest(
             &text.to_ascii_lowercase(),
-            Model::ALL.iter().map(|model| model.spec().flag),
+            Model::ALL.iter().map(|model| model.flag()),
         ) {
             Some(meant) => format!("{error}; did you mean {meant}?"),
             None => error.to_string(),

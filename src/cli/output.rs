@@ -12,9 +12,9 @@ use super::tables::SegmentTables;
 use crate::export::mcap::{McapOutput, SweepMessages};
 use crate::export::{Axes, Existing, Exporter, Format, Title, is_sweep_file, trimmed};
 use crate::files::output::{Former, sensor_folder};
+use sweepd_core::buffers::HeapBuffer;
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::SweepRef;
-use sweepd_core::sweep::buffers::HeapBuffer;
 use sweepd_core::sweep::layout::{TimeSource, flags};
 
 /// What to write of each sweep.
@@ -227,7 +227,7 @@ impl Encoder {
     /// The requested files of a sweep.
     pub fn encode(&self, id: SweepId, sweep: SweepRef<'_>) -> EncodedFiles {
         let title = Title {
-            model: id.model.spec().name,
+            model: id.model.name(),
             sweep_number: id.seq,
         };
         let formats = self.formats.iter();
@@ -346,7 +346,7 @@ impl Outputs {
         let timing = self.timing;
         self.line(|| SweepLine {
             sensor: sweep.header.sensor(),
-            model: model.spec().name,
+            model: model.name(),
             return_mode: sweep.header.return_mode().name(),
             seq,
             partial: sweep.header.has(flags::PARTIAL),

@@ -24,8 +24,8 @@ use crate::admission::{ConfiguredSensors, Refusal, Route};
 use crate::capture::write::Addressed;
 use crate::capture::{UdpError, UdpSource};
 use sweepd_client::host::realtime_ns;
+use sweepd_core::buffers::Buffers;
 use sweepd_core::pipeline;
-use sweepd_core::sweep::Buffers;
 use sweepd_core::wire::Packet;
 
 /// Longest wait for packets while packets come.

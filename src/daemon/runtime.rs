@@ -24,9 +24,9 @@ use super::sharing::{Outgoing, Sharing, SharingError, SharingStatus};
 use super::sys;
 use crate::capture::udp::ReceiveBuffer;
 use crate::capture::{UdpError, UdpSource};
+use sweepd_core::buffers::Buffers;
 use sweepd_core::pipeline;
 use sweepd_core::segment::ConfigError;
-use sweepd_core::sweep::Buffers;
 use sweepd_core::wire::Packet;
 
 /// Time limit for the threads to end; hanging ones end with the process. They take some

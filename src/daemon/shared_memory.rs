@@ -5,8 +5,8 @@ use std::sync::Arc;
 use super::config::{SensorConfig, memory};
 use super::sharing::{ObjectsOutput, Outgoing, SharedOutput, Sharing, SharingError, SharingStatus};
 use sweepd_client::publish::{Keeper, Loans, PublishStatus, ServiceSettings, Slot, Topic};
+use sweepd_core::buffers::Buffers;
 use sweepd_core::sensor::Model;
-use sweepd_core::sweep::Buffers;
 use sweepd_core::sweep::objects::MESSAGE_BYTES;
 
 impl Sharing for Keeper {
@@ -20,7 +20,7 @@ impl Sharing for Keeper {
             model: sensor
                 .pipeline
                 .model
-                .map_or_else(String::new, |model: Model| model.spec().name.to_owned()),
+                .map_or_else(String::new, |model: Model| model.name().to_owned()),
             address: sensor.address.to_string(),
         };
         let least = *memory::sweep_bytes(sensor).start();

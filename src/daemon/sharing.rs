@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use super::config::SensorConfig;
-use sweepd_core::sweep::Buffers;
+use sweepd_core::buffers::Buffers;
 
 /// Why a sensor cannot be shared, or a sweep not sent: a sentence with the cure.
 pub type SharingError = Box<dyn std::error::Error + Send + Sync>;

@@ -9,10 +9,11 @@ use crate::admission::{DiscoveredSensors, Refusal, Route};
 use crate::capture::{UdpConfig, UdpError, UdpSource};
 use crate::cure::{Dialect, explain};
 use crate::sensor_settings::FieldOfView;
+use sweepd_core::buffers::{HeapBuffers, Memory};
 use sweepd_core::pipeline::{Config, Notice, Pipeline};
 use sweepd_core::segment::ConfigError;
+use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::{TimeSource, flags};
-use sweepd_core::sweep::{HeapBuffers, Memory, SweepRef};
 use sweepd_core::wire::{Content, Packet};
 
 /// Senders of other datagrams that are remembered by name.

@@ -1,7 +1,8 @@
 //! A sweep in its own bytes, as `docs/layout.md` defines them.
 
-use sweepd_core::sweep::buffers::HeapBuffer;
-use sweepd_core::sweep::{Buffers, HeapBuffers, Shape, SweepMut, SweepRef};
+use sweepd_core::buffers::HeapBuffer;
+use sweepd_core::buffers::{Buffers, HeapBuffers};
+use sweepd_core::sweep::{Shape, SweepMut, SweepRef};
 
 /// The same sweep without unused room, so that each of its bytes is defined; without `has_times`
 /// the time spent on it is 0. `None` for a header whose counts contradict the planes.

@@ -5,10 +5,10 @@ use std::ops::Range;
 
 use zerocopy::FromZeros;
 
+use sweepd_core::buffers::{Buffers, HeapBuffer, HeapBuffers};
 use sweepd_core::sensor::Beam;
-use sweepd_core::sweep::buffers::{Buffers, HeapBuffer, HeapBuffers};
 use sweepd_core::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, ReturnKind};
-use sweepd_core::sweep::{BeamRow, Column, Segment, Shape, SweepMut, SweepRef};
+use sweepd_core::sweep::{Column, Segment, Shape, SweepMut, SweepRef};
 use sweepd_core::wire::data::ReturnMode;
 
 /// A box: least and greatest x, y, z in the sensor's axes.
@@ -55,7 +55,7 @@ impl Scene {
             );
         }
         for (row, &elevation) in elevations_rad.iter().enumerate() {
-            sweep.beams[row] = BeamRow::new(&Beam::ideal(rows - 1 - row, elevation), 0);
+            sweep.beams[row] = Beam::ideal(rows - 1 - row, elevation).row(0);
         }
         scene
     }

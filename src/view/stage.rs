@@ -10,10 +10,11 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use hyper::body::Bytes;
 use serde::Serialize;
+use sweepd_core::buffers::HeapBuffer;
+use sweepd_core::buffers::{Buffers, HeapBuffers};
 use sweepd_core::segment;
-use sweepd_core::sweep::buffers::HeapBuffer;
+use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::LayoutError;
-use sweepd_core::sweep::{Buffers, HeapBuffers, SweepRef};
 use tokio::sync::watch;
 
 /// Commands that wait at most; more are refused.

@@ -8,12 +8,13 @@ use serde_json::{Value, json};
 
 use super::stage::{packed, sweep_bytes};
 use sweepd_client::host::monotonic_ns;
+use sweepd_core::buffers::HeapBuffer;
+use sweepd_core::buffers::HeapBuffers;
 use sweepd_core::pipeline::TimedSegmenter;
 use sweepd_core::segment::settings::{REMOVED, Table, Unit};
 use sweepd_core::segment::{Config, MAX_ROWS, Method, SETTINGS, Segmenter, Setting};
-use sweepd_core::sweep::buffers::HeapBuffer;
 use sweepd_core::sweep::layout::LayoutError;
-use sweepd_core::sweep::{HeapBuffers, SweepMut, SweepRef};
+use sweepd_core::sweep::{SweepMut, SweepRef};
 
 /// Methods by name, the default first.
 const METHODS: [(&str, Method); 2] = [("slope", Method::Slope), ("paper", Method::Paper)];

@@ -16,15 +16,16 @@ use crate::common::temp_domain;
 use counting::ALLOCATIONS;
 use stream::Spin;
 use sweepd::admission::DiscoveredSensors;
+use sweepd::buffers::{Buffers, HeapBuffers, Memory};
 use sweepd::capture::record::RecorderConfig;
 use sweepd::capture::{Recorder, UdpConfig, UdpSource};
 use sweepd::client::Client;
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::publish::{Loans, ServiceSettings};
 use sweepd::segment::Method;
-use sweepd::sensor::Model;
+use sweepd::sensor::{Model, ModelExt};
 use sweepd::simulate::{Emitter, EmitterConfig, street};
-use sweepd::sweep::{Buffers, HeapBuffers, Memory, Shape, SweepMut};
+use sweepd::sweep::{Shape, SweepMut};
 use sweepd::wire::DataPacket;
 use sweepd::wire::data::ReturnMode;
 

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use sweepd::sensor::{Beam, Calibration, Model, ros_yaml, stream};
+use sweepd::sensor::{Beam, Calibration, Model, ModelExt, ros_yaml, stream};
 use sweepd::wire::hdl64::{BEAMS, Series};
 
 use crate::common::hdl64::{dump, write_capture};

@@ -1,10 +1,11 @@
 //! What comes out of a replay: JSON, tables, files.
 
 use sweepd::admission::DiscoveredSensors;
+use sweepd::buffers::{Buffers, HeapBuffers, Memory};
 use sweepd::capture::Capture;
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sweep::layout::flags;
-use sweepd::sweep::{Buffers, Header, HeapBuffers, Memory, SweepRef};
+use sweepd::sweep::{Header, SweepRef};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::common::same::same;

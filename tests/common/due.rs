@@ -1,7 +1,7 @@
 //! When the packet that completes a sweep is expected.
 
+use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::pipeline::{Config, Pipeline};
-use sweepd::sweep::{HeapBuffers, Memory};
 use sweepd::wire::Datagram;
 
 /// Of each sweep: by how much the packet that completed it came after it was expected, as was said

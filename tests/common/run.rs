@@ -4,13 +4,14 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use sweepd::admission::{DiscoveredSensors, Refused};
+use sweepd::buffers::HeapBuffer;
+use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::capture::Capture;
 use sweepd::pipeline::{Config, Counts, Fault, Notice, Pipeline};
 use sweepd::segment::objects::MAX_WIDTH_RAD;
 use sweepd::sensor::detect::Detection;
 use sweepd::sensor::model::Spec;
-use sweepd::sweep::buffers::HeapBuffer;
-use sweepd::sweep::{HeapBuffers, Memory, Return, SweepRef};
+use sweepd::sweep::{Return, SweepRef};
 use sweepd::wire::Datagram;
 use sweepd::wire::data::{RECORDS, ReturnMode};
 use sweepd_lab::testkit::stream::push;

@@ -5,9 +5,10 @@ use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::publish::Preamble;
 use sweepd::sweep::layout::{Header, LAYOUT_VERSION, Part};
-use sweepd::sweep::{Buffers, HeapBuffers, Shape, SweepMut};
+use sweepd::sweep::{Shape, SweepMut};
 use zerocopy::{FromBytes, IntoBytes};
 
 use super::python::mapped;

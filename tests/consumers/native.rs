@@ -271,8 +271,10 @@ pub fn compare_refusals(
     open: impl Fn(&[u8]) -> Result<(), LayoutError>,
 ) {
     // Aligned to 64 as a sweep is, with room for the shift.
-    let mut buffer =
-        sweepd::sweep::Buffers::take(&mut sweepd::sweep::HeapBuffers::default(), bytes.len() + 64);
+    let mut buffer = sweepd::buffers::Buffers::take(
+        &mut sweepd::buffers::HeapBuffers::default(),
+        bytes.len() + 64,
+    );
     let buffer: &mut [u8] = buffer.as_mut();
     let (mut lines, mut expected) = (String::new(), String::new());
     for Fault {

@@ -5,6 +5,7 @@ use std::ffi::OsStr;
 use std::time::{Duration, SystemTime};
 
 use serde_json::{Value, json};
+use sweepd::buffers::{Buffers, HeapBuffers, Memory};
 use sweepd::client::{Client, ClientError, ObjectsRef};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::publish::{Loans, Preamble, ServiceSettings, Topic};
@@ -13,7 +14,6 @@ use sweepd::sensor::Model;
 use sweepd::simulate::{Emitter, EmitterConfig, fixtures};
 use sweepd::sweep::layout::{LAYOUT_VERSION, LayoutError, TimeSource};
 use sweepd::sweep::objects::{self, MESSAGE_BYTES, Object, ObjectsHeader, Sending, flags, why};
-use sweepd::sweep::{Buffers, HeapBuffers, Memory};
 use sweepd::wire::data::ReturnMode;
 use zerocopy::{FromBytes, FromZeros, IntoBytes};
 

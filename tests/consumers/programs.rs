@@ -67,8 +67,10 @@ fn play_to(consumer: &Talk, own: &TempDomain, mut check: impl FnMut(&SweepRef<'_
     Source::StreetVlp16Dual.play(loans, |slot| {
         let bytes = slot.as_ref().to_vec();
         slot.publish().unwrap();
-        let mut copy =
-            sweepd::sweep::Buffers::take(&mut sweepd::sweep::HeapBuffers::default(), bytes.len());
+        let mut copy = sweepd::buffers::Buffers::take(
+            &mut sweepd::buffers::HeapBuffers::default(),
+            bytes.len(),
+        );
         copy.as_mut().copy_from_slice(&bytes);
         let mut line = consumer.line();
         while line.contains(&u64::MAX.to_string()) {

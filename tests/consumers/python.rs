@@ -8,10 +8,11 @@ use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
+use sweepd::buffers::Buffers;
 use sweepd::client::Client;
 use sweepd::publish::{Loans, ServiceSettings, Slot};
 use sweepd::sweep::layout::is_return;
-use sweepd::sweep::{Buffers, Shape, SweepMut, SweepRef};
+use sweepd::sweep::{Shape, SweepMut, SweepRef};
 use zerocopy::IntoBytes;
 
 use super::common::{PYTHON_PACKAGE, python_with_iceoryx2, temp_domain};
@@ -345,7 +346,7 @@ fn python_reads_the_bytes_that_the_decoder_wrote_and_the_same_points() {
             let (file, offset) = mapped(written.range.as_bytes());
             slot.publish().unwrap();
             let said = python.ask("5");
-            let mut copy = sweepd::sweep::HeapBuffers::default().take(bytes.len());
+            let mut copy = sweepd::buffers::HeapBuffers::default().take(bytes.len());
             copy.as_mut().copy_from_slice(&bytes);
             let sweep = SweepRef::open(copy.as_ref()).unwrap();
             assert_eq!(said["sweep"], sweep.header.sequence, "{said}");

@@ -1,13 +1,14 @@
 //! Sweeps of real pipelines, of all kinds that a consumer meets.
 
 use sweepd::admission::DiscoveredSensors;
+use sweepd::buffers::HeapBuffer;
+use sweepd::buffers::{Buffers, HeapBuffers, Memory};
 use sweepd::capture::Capture;
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::Model;
 use sweepd::simulate::unit::unit;
-use sweepd::sweep::buffers::HeapBuffer;
+use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::flags;
-use sweepd::sweep::{Buffers, HeapBuffers, Memory, SweepRef};
 use sweepd::wire::data::ReturnMode;
 
 use super::of_project;

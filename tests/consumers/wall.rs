@@ -4,6 +4,8 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use sweepd::buffers::HeapBuffer;
+use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::Model;
 use sweepd::simulate::optics::Optics;
@@ -11,9 +13,8 @@ use sweepd::simulate::scene::Surface;
 use sweepd::simulate::shape::{Shape, Vec3};
 use sweepd::simulate::unit::unit;
 use sweepd::simulate::{Class, Emitter, EmitterConfig, Motion, Pose as Start, Scene};
-use sweepd::sweep::buffers::HeapBuffer;
 use sweepd::sweep::layout::is_return;
-use sweepd::sweep::{HeapBuffers, Memory, Pose, SweepRef};
+use sweepd::sweep::{Pose, SweepRef};
 use sweepd::wire::data::ReturnMode;
 
 use super::common::{PYTHON_PACKAGE, python_with_iceoryx2};

@@ -8,15 +8,16 @@ use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant, SystemTime};
 use sweepd::admission::Refusal;
 
+use sweepd::buffers::HeapBuffer;
+use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::daemon::counters::{Gps, Stage};
 use sweepd::daemon::record::Recordings;
 use sweepd::daemon::sensor::Event;
 use sweepd::daemon::{DaemonError, Runtime};
 use sweepd::pipeline::{self, Notice, Pipeline};
 use sweepd::sensor::Model;
-use sweepd::sweep::buffers::HeapBuffer;
+use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::{TimeSource, flags};
-use sweepd::sweep::{HeapBuffers, Memory, SweepRef};
 use sweepd::wire::data::ReturnMode;
 use sweepd::wire::{DataPacket, Datagram};
 

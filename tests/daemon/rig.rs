@@ -9,6 +9,8 @@ use std::time::{Duration, Instant};
 
 pub use crate::common::free_port;
 use crate::counting::allocations;
+use sweepd::buffers::HeapBuffer;
+use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::daemon::config::{Config, DaemonConfig, ObjectsConfig, PortConfig, SensorConfig};
 use sweepd::daemon::losses::Limits;
 use sweepd::daemon::sharing::{Outgoing, SharedOutput, Sharing, SharingError, SharingStatus};
@@ -17,8 +19,6 @@ use sweepd::sensor::Model;
 use sweepd::sensor_settings::Settings;
 use sweepd::simulate::gps::{Clock, Reception};
 use sweepd::simulate::{Emitter, EmitterConfig, street};
-use sweepd::sweep::buffers::HeapBuffer;
-use sweepd::sweep::{Buffers, HeapBuffers};
 use sweepd::wire::data::ReturnMode;
 
 /// What happens to a thread that sends a sweep.

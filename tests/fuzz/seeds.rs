@@ -3,12 +3,13 @@
 use std::io::Write;
 use std::path::Path;
 
+use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::capture::write::Addressed;
 use sweepd::capture::{Capture, PcapWriter};
-use sweepd::sensor::{Model, ros_yaml};
+use sweepd::sensor::{Model, ModelExt, ros_yaml};
 use sweepd::simulate::unit::unit;
 use sweepd::sweep::layout::Column;
-use sweepd::sweep::{BeamRow, Buffers, HeapBuffers, Shape, SweepMut};
+use sweepd::sweep::{Shape, SweepMut};
 use sweepd::wire::data::DATA_PACKET_LEN;
 use sweepd::wire::position::POSITION_PACKET_LEN;
 
@@ -614,7 +615,7 @@ fn sweeps() -> Inputs {
             .beams
             .iter_mut()
             .zip(beams)
-            .for_each(|(row, beam)| *row = BeamRow::new(beam, 2304));
+            .for_each(|(row, beam)| *row = beam.row(2304));
         seeds.push([&[0], &*bytes].concat());
     }
     seeds

@@ -9,7 +9,9 @@ use sweepd::files::{self, CalibrationFileError};
 use sweepd::sensor::calibration::{Intensity, TwoPoint};
 use sweepd::sensor::compare::Quantity;
 use sweepd::sensor::read::MAX_FILE_LEN;
-use sweepd::sensor::{Beam, Calibration, CalibrationError, Model, db_xml, ros_yaml, stream};
+use sweepd::sensor::{
+    Beam, Calibration, CalibrationError, Model, ModelExt, db_xml, ros_yaml, stream,
+};
 use sweepd::wire::hdl64::{Clock, DUMP_PACKETS, Dump, Gps, Live, Series, Status, emit};
 
 /// The folder of real calibrations, if it is there.

@@ -8,11 +8,11 @@ use std::time::Duration;
 use pcap_parser::traits::PcapReaderIterator;
 use pcap_parser::{LegacyPcapReader, PcapBlockOwned, PcapError};
 use sweepd::admission::{DiscoveredSensors, Route};
+use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::capture::{Capture, CaptureReader, LinkType};
 use sweepd::daemon::counters::SensorCounters;
 use sweepd::daemon::losses::{Limits, Losses, WINDOW};
 use sweepd::pipeline::{Config, Pipeline};
-use sweepd::sweep::{HeapBuffers, Memory};
 use sweepd::wire::Packet;
 
 /// File, data packets, position packets, sender: from the README of the captures.

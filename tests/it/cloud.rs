@@ -10,7 +10,7 @@ use sweepd::cloud::{COLUMNS, Cloud, CloudProjector, CloudSegmenter, Format, RowT
 use sweepd::export::{Axes, write_pcd};
 use sweepd::pipeline;
 use sweepd::segment::Config;
-use sweepd::sensor::Model;
+use sweepd::sensor::{Model, ModelExt};
 use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::{LABEL_GROUND, LABEL_NONE};
 

@@ -2,12 +2,13 @@
 
 use std::collections::BTreeSet;
 
+use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::pipeline::{Config, DarkBeam, Pipeline};
 use sweepd::segment::Mask;
-use sweepd::sensor::Model;
+use sweepd::sensor::{Model, ModelExt};
 use sweepd::simulate::{Emitter, EmitterConfig, SimulatedDatagram, fixtures};
+use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::flags;
-use sweepd::sweep::{HeapBuffers, Memory, SweepRef};
 use sweepd::wire::data::{DataPacket, ReturnMode};
 use sweepd_lab::testkit::stream::{self, Sent, Spin};
 

@@ -7,7 +7,7 @@ use sweepd::assemble::decode::{Decoder, DualPixels, Pixels};
 use sweepd::assemble::lanes::Records;
 use sweepd::assemble::row_offsets::RowOffsets;
 use sweepd::files;
-use sweepd::sensor::{Calibration, Model};
+use sweepd::sensor::{Calibration, Model, ModelExt};
 use sweepd::sweep::corrected::Corrected;
 use sweepd::sweep::layout::{BeamRow, ReturnChoice, ReturnKind, SECOND_BLOCKS, is_return};
 use sweepd::wire::DataPacket;

@@ -3,8 +3,8 @@
 use crate::common;
 use std::path::{Path, PathBuf};
 
-use sweepd::sensor::Model;
 use sweepd::sensor::detect::{Basis, DetectError, Detection, Detector, MAX_PACKETS};
+use sweepd::sensor::{Model, ModelExt};
 use sweepd::wire::data::{DATA_PACKET_LEN, DataPacket, ReturnMode};
 
 /// The folder of real captures, if it is there.

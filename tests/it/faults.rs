@@ -1,13 +1,14 @@
 //! What a network, a sensor and its users do to a stream, and what must hold all the same.
 
 use std::collections::BTreeSet;
+use sweepd::sensor::ModelExt;
 use sweepd_lab::testkit::stream;
 
 use proptest::prelude::*;
+use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::pipeline::{Counts, Pipeline};
 use sweepd::sensor::Model::{self, Hdl32e, Hdl64eS3, Vlp16, Vlp32c};
 use sweepd::sweep::layout::flags::{BLANKED, CIRCULAR, PARTIAL, RATE_UNSTABLE, REVERSED, STOPPED};
-use sweepd::sweep::{HeapBuffers, Memory};
 use sweepd::wire::data::DataPacket;
 use sweepd::wire::data::ReturnMode::{self, Dual, Last, Strongest};
 use sweepd_lab::testkit::stream::{Content, Run, Sent, Spin, config, cut_at};

@@ -2,10 +2,12 @@
 //! head is back in it.
 
 use crate::common::due;
+use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::Model::{self, Hdl32e, Hdl64eS3, Vlp16};
+use sweepd::sensor::ModelExt;
+use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::flags::{BLANKED, CIRCULAR, PARTIAL};
-use sweepd::sweep::{HeapBuffers, Memory, SweepRef};
 use sweepd::wire::data::ReturnMode::{self, Dual, Strongest};
 use sweepd_lab::testkit::stream::{Run, Sent, Spin, config, cut_at, datagram, unit};
 

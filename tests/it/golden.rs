@@ -8,12 +8,13 @@ use std::path::{Path, PathBuf};
 
 use crate::common::npy;
 use serde_json::Value;
+use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::segment::paper::PaperSegmenter;
 use sweepd::segment::paper::angles::Angles;
 use sweepd::segment::{Config, PaperGround, Window};
 use sweepd::sensor::Beam;
 use sweepd::sweep::layout::LABEL_GROUND;
-use sweepd::sweep::{BeamRow, Buffers, HeapBuffers, Shape, SweepMut};
+use sweepd::sweep::{Shape, SweepMut};
 
 const CASES: usize = 16;
 
@@ -102,7 +103,7 @@ impl Case {
         sweep.header.columns = self.columns as u32;
         sweep.range.copy_from_slice(range_m);
         for (beam, elevation_rad) in sweep.beams.iter_mut().zip(&self.elevations_rad) {
-            *beam = BeamRow::new(&Beam::ideal(0, *elevation_rad), 0);
+            *beam = Beam::ideal(0, *elevation_rad).row(0);
         }
         let mut segmenter = PaperSegmenter::default();
         segmenter.begin(&sweep, &Config::default());

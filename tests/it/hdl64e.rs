@@ -8,7 +8,7 @@ use crate::common::run::{Run, Runner};
 use sweepd::cure;
 use sweepd::files;
 use sweepd::pipeline::{Config, Fault, Notice};
-use sweepd::sensor::{Calibration, Model};
+use sweepd::sensor::{Calibration, Model, ModelExt};
 use sweepd::simulate::optics::Optics;
 use sweepd::simulate::scene::Surface;
 use sweepd::simulate::shape::{Shape, Vec3};

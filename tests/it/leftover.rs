@@ -1,10 +1,11 @@
 //! A buffer comes back with an old sweep in it: nothing that a header declares valid is left over
 //! from it.
 
+use sweepd::buffers::HeapBuffer;
+use sweepd::buffers::{Buffers, HeapBuffers, Memory};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::Model;
-use sweepd::sweep::buffers::HeapBuffer;
-use sweepd::sweep::{Buffers, HeapBuffers, Memory, SweepRef};
+use sweepd::sweep::SweepRef;
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::testkit::stream::{Run, Sent, Spin, config, datagram, unit};
 use zerocopy::IntoBytes;

@@ -7,6 +7,7 @@ use std::f32::consts::TAU;
 
 use proptest::prelude::*;
 use sweepd::assemble::lanes::levels;
+use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::cloud::{COLUMNS, CloudProjector, CloudSegmenter, points};
 use sweepd::segment::objects::Objects;
 use sweepd::segment::points::placed;
@@ -14,7 +15,7 @@ use sweepd::segment::{Config, ConfigError, Joining, Mask, Method, Mount, Segment
 use sweepd::sensor::Beam;
 use sweepd::sensor::calibration::TwoPoint;
 use sweepd::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, flags, is_return};
-use sweepd::sweep::{BeamRow, Buffers, Column, HeapBuffers, Shape, SweepMut, SweepRef};
+use sweepd::sweep::{Column, Shape, SweepMut, SweepRef};
 use zerocopy::IntoBytes;
 
 /// A random scene and the sensor that sees it, drawn from a seed.
@@ -180,7 +181,7 @@ impl Scene {
                 two_point,
                 ..ideal
             };
-            *beam = BeamRow::new(&beam_of, rng.u32(..46_000));
+            *beam = beam_of.row(rng.u32(..46_000));
             beam.shift = if self.shifted { rng.i32(-9..9) } else { 0 };
         }
         // Gaps of up to four pitches, of which the widest part neighbours.
@@ -706,7 +707,7 @@ fn an_empty_sweep_and_a_full_table_are_no_trouble() {
         *place = Column::measured(0, 0, 0.004 * column as f32, 60.0, 0);
     }
     for (row, beam) in sweep.beams.iter_mut().enumerate() {
-        *beam = BeamRow::new(&Beam::ideal(row, (15.0 - 2.0 * row as f64).to_radians()), 0);
+        *beam = Beam::ideal(row, (15.0 - 2.0 * row as f64).to_radians()).row(0);
     }
     for (index, range_m) in sweep.range.iter_mut().enumerate() {
         *range_m = if index / 16 < 20 { 3.0 } else { 30.0 };
@@ -770,7 +771,7 @@ fn segments_of(boards: &[(f32, std::ops::Range<usize>, std::ops::Range<usize>)])
     sweep.header.columns = COLUMNS as u32;
     sweep.header.flags = flags::CIRCULAR;
     for (row, beam) in sweep.beams.iter_mut().enumerate() {
-        *beam = BeamRow::new(&Beam::ideal(row, (6.4 - 0.4 * row as f64).to_radians()), 0);
+        *beam = Beam::ideal(row, (6.4 - 0.4 * row as f64).to_radians()).row(0);
     }
     for (index, column) in sweep.columns.iter_mut().enumerate() {
         *column = Column::measured(0, 0, TAU * index as f32 / COLUMNS as f32, 62.8, 0);
@@ -860,10 +861,7 @@ fn sixteen_tilted_beams_see_a_floor_and_a_box() {
     sweep.header.columns = COLUMNS as u32;
     sweep.header.flags = flags::CIRCULAR;
     for (row, beam) in sweep.beams.iter_mut().enumerate() {
-        *beam = BeamRow::new(
-            &Beam::ideal(row, (15.0 - 2.0 * row as f64).to_radians()),
-            2304 * row as u32,
-        );
+        *beam = Beam::ideal(row, (15.0 - 2.0 * row as f64).to_radians()).row(2304 * row as u32);
     }
     for (index, column) in sweep.columns.iter_mut().enumerate() {
         *column = Column::measured(

@@ -7,15 +7,16 @@ use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
 use crate::common::temp_domain;
+use sweepd::buffers::HeapBuffer;
+use sweepd::buffers::{Buffers, HeapBuffers, Memory};
 use sweepd::client::{Client, ClientError, JoinError, Sweep};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::publish::{Domain, Loans, PublishError, ServiceSettings, Slot, Topic, pool_sweeps};
 use sweepd::segment::objects::MAX_WIDTH_RAD;
 use sweepd::sensor::Model;
 use sweepd::simulate::{Emitter, EmitterConfig, fixtures};
-use sweepd::sweep::buffers::HeapBuffer;
 use sweepd::sweep::objects::{self, MESSAGE_BYTES, Object, Sending, flags};
-use sweepd::sweep::{Buffers, HeapBuffers, Memory, Shape, SweepMut, SweepRef};
+use sweepd::sweep::{Shape, SweepMut, SweepRef};
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::testkit::TempDomain;
 use sweepd_lab::testkit::stream::{Sent, Spin, config, datagram, unit};

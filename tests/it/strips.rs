@@ -6,10 +6,11 @@ use std::path::{Path, PathBuf};
 use crate::common::data_dir_if_any;
 use crate::common::run::Runner;
 use sweepd::assemble::lanes::levels;
+use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::pipeline::Config;
 use sweepd::segment::{self, Mount, Segmenter, naive};
 use sweepd::sweep::layout::flags;
-use sweepd::sweep::{Buffers, HeapBuffers, SweepMut, SweepRef};
+use sweepd::sweep::{SweepMut, SweepRef};
 
 fn captures() -> Vec<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("pcap_fixtures");

@@ -6,7 +6,7 @@ use crate::common::due;
 use crate::common::raw::{self, RawPacket};
 use crate::common::run::{Run, Runner};
 use sweepd::pipeline::{Config, Fault};
-use sweepd::sensor::Model;
+use sweepd::sensor::{Model, ModelExt};
 use sweepd::simulate::{Emitter, EmitterConfig, SimulatedDatagram, fixtures};
 use sweepd::sweep::layout::{TimeSource, flags};
 use sweepd::sweep::{Column, SweepRef};

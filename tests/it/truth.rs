@@ -6,7 +6,7 @@ use std::path::Path;
 
 use crate::common::run::{AT_FAR_M, Placed, Run, range_m, walk_ns};
 use sweepd::pipeline::Config;
-use sweepd::sensor::Model;
+use sweepd::sensor::{Model, ModelExt};
 use sweepd::simulate::fixtures::{self, Fixture};
 use sweepd::simulate::gps::{Clock, Reception};
 use sweepd::simulate::shape::Vec3;

@@ -6,7 +6,7 @@ use crate::common::raw;
 use crate::common::run::{Placed, Run};
 use crate::common::same::same;
 use std::ops::RangeInclusive;
-use sweepd::sensor::Model;
+use sweepd::sensor::{Model, ModelExt};
 use sweepd::simulate::gps::Clock;
 use sweepd::simulate::{
     ClockStep, Emitter, EmitterConfig, Faults, FieldOfView, SimulatedDatagram, deliver, fixtures,

@@ -9,10 +9,11 @@ use std::process::{Command, Stdio};
 use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
 
+use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::capture::Capture;
 use sweepd::client::Client;
 use sweepd::pipeline::{Config, Pipeline};
-use sweepd::sweep::{HeapBuffers, Memory, SweepRef};
+use sweepd::sweep::SweepRef;
 
 use crate::same::same;
 use crate::setup::{Process, Setup};

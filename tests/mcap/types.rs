@@ -1,6 +1,7 @@
 //! Messages that no file of ours has, read by rosbags.
 
 use serde_json::{Value, json};
+use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::messages::diagnostics::{self, Level, Status};
 use sweepd::messages::graph::{self, GidForm, Node};
 use sweepd::messages::message_type::{
@@ -8,7 +9,6 @@ use sweepd::messages::message_type::{
 };
 use sweepd::messages::transforms::{self, Transform};
 use sweepd::messages::{MessageHeader, Stamp, image};
-use sweepd::sweep::buffers::{Buffers, HeapBuffers};
 use sweepd::sweep::{Shape, SweepMut, SweepRef};
 
 use crate::{folder, python};

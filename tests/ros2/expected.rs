@@ -7,10 +7,11 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
+use sweepd::buffers::HeapBuffer;
+use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::client::{Client, Domain};
-use sweepd::sweep::buffers::HeapBuffer;
 use sweepd::sweep::layout::is_return;
-use sweepd::sweep::{Buffers, HeapBuffers, Return, SweepRef};
+use sweepd::sweep::{Return, SweepRef};
 
 use super::hurry;
 use super::peer::Said;

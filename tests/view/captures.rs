@@ -4,17 +4,18 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use serde_json::json;
+use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::capture::Capture;
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::ros_yaml;
 use sweepd::simulate::unit::unit;
+use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::flags;
-use sweepd::sweep::{HeapBuffers, Memory, SweepRef};
 use zerocopy::IntoBytes;
 
 use crate::page::View;
 
-type Buffer = <HeapBuffers as sweepd::sweep::Buffers>::Buffer;
+type Buffer = <HeapBuffers as sweepd::buffers::Buffers>::Buffer;
 
 pub fn fixture(name: &str) -> String {
     format!("pcap_fixtures/{name}")

@@ -3,11 +3,12 @@
 use std::time::Duration;
 
 use serde_json::{Value, json};
+use sweepd::buffers::Buffers;
 use sweepd::cli::publish::publish;
 use sweepd::host::realtime_ns;
 use sweepd::pipeline::Config;
 use sweepd::publish::{Domain, Loans, ServiceSettings, Topic};
-use sweepd::sweep::{Buffers, SweepMut, SweepRef};
+use sweepd::sweep::{SweepMut, SweepRef};
 use sweepd_lab::testkit::TempDomain;
 
 use crate::captures::{fixture, sweeps};

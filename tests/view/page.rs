@@ -7,7 +7,8 @@ use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
 use serde_json::{Value, json};
-use sweepd::sweep::{Buffers, HeapBuffers, SweepRef};
+use sweepd::buffers::{Buffers, HeapBuffers};
+use sweepd::sweep::SweepRef;
 use sweepd_lab::testkit::{PATIENCE, Process};
 use tokio::runtime::{Builder, Runtime};
 use tokio::time::timeout;

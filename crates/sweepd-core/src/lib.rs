@@ -6,14 +6,16 @@
 //! ```
 //!
 //! [`sensor`] says what each model is and where its beams point; [`pipeline`] holds the whole
-//! algorithm on one page.
+//! algorithm; [`buffers`] gives the memory that sweeps are built in.
 
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 
 pub mod assemble;
+pub mod buffers;
 pub mod pipeline;
 pub mod segment;
 pub mod sensor;
-pub mod sweep;
 pub mod wire;
+
+pub use sweepd_sweep as sweep;

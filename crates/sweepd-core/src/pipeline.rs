@@ -27,13 +27,14 @@ pub use report::{Counts, Fault, Notice};
 pub use timed::TimedSegmenter;
 
 use crate::assemble::clock::vouched_utc_ns;
+use crate::buffers::OpenBuffer;
+use crate::buffers::{Buffers, Memory};
 use crate::segment::objects::Objects;
 use crate::segment::{ConfigError, STRIP_COLUMNS, Segmenter};
 use crate::sensor::detect::Detection;
 use crate::sensor::unit::Unit;
-use crate::sweep::buffers::OpenBuffer;
+use crate::sweep::SweepMut;
 use crate::sweep::objects::Told;
-use crate::sweep::{Buffers, Memory, SweepMut};
 use crate::wire::{Content, Packet, TIMES_NS};
 use dark_beams::DarkBeams;
 use decoding::LatePacket;

@@ -17,9 +17,9 @@
 //! [`crate::image`] has them; a pixel without a return is NaN, `is_dense` is false. There a dual
 //! pixel has its segmented return only.
 
-use sweepd_core::sweep::SweepRef;
-use sweepd_core::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, is_return};
-use sweepd_core::wire::data::ReturnMode;
+use sweepd_sweep::ReturnMode;
+use sweepd_sweep::SweepRef;
+use sweepd_sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, is_return};
 use thiserror::Error;
 
 use crate::cdr::Writer;

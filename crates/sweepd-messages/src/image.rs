@@ -5,8 +5,8 @@
 //! the head turns the other way (`REVERSED`) it is the opposite order. A dual pixel has its
 //! segmented return.
 
-use sweepd_core::sweep::SweepRef;
-use sweepd_core::sweep::layout::{flags, is_return};
+use sweepd_sweep::SweepRef;
+use sweepd_sweep::layout::{flags, is_return};
 
 use crate::cdr::Writer;
 use crate::stamp::MessageHeader;

@@ -1,13 +1,13 @@
 //! Sweeps as messages of ROS 2, without ROS.
 //!
-//! An encoder takes a [`SweepRef`](sweepd_core::sweep::SweepRef) and appends the bytes of a message to
+//! An encoder takes a [`SweepRef`](sweepd_sweep::SweepRef) and appends the bytes of a message to
 //! a `Vec<u8>`, in one pass: [`cloud`], [`image`], [`markers`], [`transforms`]; [`diagnostics`] and
 //! [`graph`] take what the caller knows. The bytes are those that ROS 2 puts on the wire and into
 //! bags: CDR, with 4 bytes of encapsulation in front; see [`cdr`]. [`message_type`] says which
 //! message they are.
 //!
 //! Axes are those of ROS (REP 103: x forward, y left, z up): x is the y of a sweep, y its -x. Times
-//! are in the clock of [`Header::time_source`](sweepd_core::sweep::Header::time_source): the host's,
+//! are in the clock of [`Header::time_source`](sweepd_sweep::Header::time_source): the host's,
 //! or UTC from GPS where that is locked.
 
 #![forbid(unsafe_code)]

@@ -4,7 +4,7 @@
 //! The first marker deletes those of the sweep before. A box is the extent of its segment along the
 //! axes of the sensor; its `id` is the label, its namespace `segments`.
 
-use sweepd_core::sweep::{Segment, SweepRef};
+use sweepd_sweep::{Segment, SweepRef};
 
 use crate::cdr::Writer;
 use crate::palette;

@@ -2,7 +2,7 @@
 
 use std::sync::LazyLock;
 
-use sweepd_core::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE};
+use sweepd_sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE};
 
 /// Red, green and blue in the encoding of sRGB.
 pub type Rgb = [u8; 3];

@@ -3,8 +3,8 @@
 
 use std::f64::consts::TAU;
 
-use sweepd_core::sweep::SweepRef;
-use sweepd_core::sweep::corrected::Corrected;
+use sweepd_sweep::SweepRef;
+use sweepd_sweep::corrected::Corrected;
 
 /// The shots of a sweep.
 pub struct Shots<'a> {

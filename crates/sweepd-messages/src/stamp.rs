@@ -1,6 +1,6 @@
 //! What stands in the header of each message of a sweep.
 
-use sweepd_core::sweep::SweepRef;
+use sweepd_sweep::SweepRef;
 
 /// Which shot of a sweep its stamp is the time of.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -15,7 +15,7 @@ pub enum Stamp {
 
 impl Stamp {
     /// The time, nanoseconds since 1970 in the clock of
-    /// [`Header::time_source`](sweepd_core::sweep::Header::time_source).
+    /// [`Header::time_source`](sweepd_sweep::Header::time_source).
     pub fn time_ns(self, sweep: &SweepRef<'_>) -> i64 {
         let first_ns = sweep.header.time_ns;
         if self == Self::First {

@@ -1,6 +1,6 @@
 //! `tf2_msgs/TFMessage`: where a sensor sits on the robot.
 
-use sweepd_core::sweep::Header;
+use sweepd_sweep::Header;
 
 use crate::cdr::Writer;
 

@@ -6,12 +6,12 @@ use std::time::{Duration, Instant};
 
 use sweepd_client::client::{Client, ClientError, Domain, Sweep};
 use sweepd_client::host::realtime_ns;
-use sweepd_core::sensor::Model;
-use sweepd_core::sweep::{Header, SweepRef};
 use sweepd_messages::cloud::{Cloud, Points};
 use sweepd_messages::message_type::{IMAGE, MARKER_ARRAY, POINT_CLOUD};
 use sweepd_messages::{MessageHeader, MessageType, image, markers};
 use sweepd_ros2::Publisher;
+use sweepd_sweep::Model;
+use sweepd_sweep::{Header, SweepRef};
 
 use crate::log;
 use crate::parameters::SensorParameters;

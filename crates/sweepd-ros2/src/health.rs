@@ -9,9 +9,9 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 use sweepd_client::client::Domain;
 use sweepd_client::host::realtime_ns;
-use sweepd_core::sweep::Header;
 use sweepd_messages::diagnostics::{self, Level, Status};
 use sweepd_ros2::{Publisher, Subscriber};
+use sweepd_sweep::Header;
 
 use crate::bridge::{Bridge, PATIENCE, Tally, Topic, model};
 
@@ -373,8 +373,8 @@ mod tests {
         }
     }
 
-    fn header() -> sweepd_core::sweep::Header {
-        sweepd_core::sweep::Header::new(&sweepd_core::sweep::layout::Shape {
+    fn header() -> sweepd_sweep::Header {
+        sweepd_sweep::Header::new(&sweepd_sweep::layout::Shape {
             rows: 16,
             columns_capacity: 1,
             dual: false,

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
 use sweepd_client::host::realtime_ns;
-use sweepd_core::sweep::Header;
 use sweepd_messages::transforms::{self, Transform};
+use sweepd_sweep::Header;
 
 use crate::log;
 use sweepd_ros2::Publisher;

@@ -7,7 +7,7 @@ use std::sync::LazyLock;
 use socket2::Socket;
 
 use super::sys;
-use sweepd_core::sensor::Model;
+use sweepd_core::sensor::{Model, ModelExt};
 use sweepd_core::wire::data::ReturnMode;
 
 /// Bytes that the kernel charges for a data packet: its 1206 bytes and overhead; measured on Linux

@@ -2,9 +2,9 @@
 
 use crate::beams;
 use crate::text::row;
+use sweepd_core::buffers::{HeapBuffers, Memory};
 use sweepd_core::pipeline::{Config, DarkBeam, Pipeline};
 use sweepd_core::segment::ConfigError;
-use sweepd_core::sweep::{HeapBuffers, Memory};
 use sweepd_core::wire::Packet;
 
 /// Decodes the sweeps of a sensor.

@@ -11,8 +11,8 @@ use crate::cli::output::ForceOptions;
 use crate::export::{Existing, WriteError};
 use crate::files;
 use crate::files::output;
-use sweepd_core::sensor::Model;
 use sweepd_core::sensor::read::MAX_FILE_LEN;
+use sweepd_core::sensor::{Model, ModelExt};
 use sweepd_lab::cloud::{self, Cloud, CloudError, CloudSegmenter, Format, RowTable};
 
 /// Options of `sweepd segment`.

@@ -227,7 +227,7 @@ impl<'a> SensorReport<'a> {
         let stage = means.stage();
         SensorSummary {
             sensor: self.sensor,
-            model: self.detection.map(|detection| detection.model.spec().name),
+            model: self.detection.map(|detection| detection.model.name()),
             model_basis: self.detection.map(|detection| detection.basis.to_string()),
             fault: self.fault,
             return_modes: &sums.modes,

@@ -9,8 +9,9 @@ use crate::cli::CliError;
 use crate::cli::output::{EncodedFiles, Encoder, Outputs, SweepId};
 use crate::cli::publish::publish;
 use sweepd_client::publish::{Loans, Slot};
+use sweepd_core::buffers::Buffers;
 use sweepd_core::pipeline::TimedSegmenter;
-use sweepd_core::sweep::{Buffers, SweepMut, SweepRef};
+use sweepd_core::sweep::{SweepMut, SweepRef};
 
 /// A sweep that is whole.
 pub(super) struct Sweep {

@@ -10,12 +10,13 @@ use crate::cli::output::SweepId;
 use crate::cli::{CliError, complain};
 use crate::text::count_of;
 use sweepd_client::host::realtime_ns;
+use sweepd_core::buffers::Memory;
 use sweepd_core::pipeline::{Config, Counts, Fault, Notice, Pipeline};
 use sweepd_core::segment::objects::MAX_WIDTH_RAD;
 use sweepd_core::sensor::compare::Difference;
 use sweepd_core::sensor::detect::Detection;
+use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::flags;
-use sweepd_core::sweep::{Memory, SweepRef};
 use sweepd_core::wire::Packet;
 
 /// A sensor with its pipeline.

@@ -88,8 +88,7 @@ impl Table {
                 .saturating_add(header.sequence.saturating_sub(sequence.saturating_add(1)));
         }
         self.last = Some((header.run_ns, header.sequence));
-        let model =
-            Model::from_code(header.model).map_or("unknown model", |model| model.spec().name);
+        let model = Model::from_code(header.model).map_or("unknown model", |model| model.name());
         self.kind = format!(
             "{}: {model}, {} returns, from {}",
             self.name,

@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 
 use super::{SensorConfig, possible_models};
 use sweepd_client::publish::{Topic, pool_sweeps};
-use sweepd_core::sensor::Model;
+use sweepd_core::sensor::{Model, ModelExt};
 use sweepd_core::sweep::layout::Shape;
 use sweepd_core::sweep::objects::MESSAGE_BYTES;
 
@@ -53,8 +53,8 @@ mod tests {
     use super::super::super::testing::sensor;
     use super::*;
     use std::sync::{Arc, Mutex};
+    use sweepd_core::buffers::{Buffers, HeapBuffers, Memory};
     use sweepd_core::pipeline::Pipeline;
-    use sweepd_core::sweep::{Buffers, HeapBuffers, Memory};
     use sweepd_core::wire::data::ReturnMode;
     use sweepd_lab::simulate::{Emitter, EmitterConfig, street};
 

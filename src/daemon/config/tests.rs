@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use super::*;
 use sweepd_core::segment::settings::REMOVED;
 use sweepd_core::segment::{Method, SETTINGS};
-use sweepd_core::sensor::Model;
+use sweepd_core::sensor::{Model, ModelExt};
 use sweepd_core::sweep::layout::ReturnChoice;
 
 const EXAMPLE: &str = include_str!("../../../systemd/sweepd.toml");

@@ -8,7 +8,7 @@ use crate::doctor::observe::{Observations, ObservedSensor, PortResult, PositionS
 use crate::doctor::plan::ExpectedSensor;
 use crate::doctor::{Severity, Topic};
 use sweepd_core::pipeline::DarkBeam;
-use sweepd_core::sensor::Model;
+use sweepd_core::sensor::{Model, ModelExt};
 use sweepd_core::sweep::layout::flags;
 use sweepd_core::wire::data::ReturnMode;
 use sweepd_core::wire::position::Pps;
@@ -153,7 +153,7 @@ impl SensorCheck<'_> {
                 );
                 let cure = format!(
                     "set `model = \"{}\"`, or leave the model out: the packets tell it",
-                    found.spec().flag
+                    found.flag()
                 );
                 self.findings.error(Topic::Model, what, cure);
             }

@@ -7,9 +7,10 @@ use crate::cli::CliError;
 use crate::view::stage::{Command, Kind, Stage, State, packed, sweep_bytes};
 use sweepd_client::client::{Client, Domain};
 use sweepd_client::host::realtime_ns;
+use sweepd_core::buffers::HeapBuffers;
 use sweepd_core::segment;
 use sweepd_core::sweep::layout::flags;
-use sweepd_core::sweep::{Header, HeapBuffers, SweepRef};
+use sweepd_core::sweep::{Header, SweepRef};
 
 /// Interval of the look at commands and at the list of sensors.
 const LOOK_EVERY: Duration = Duration::from_millis(50);

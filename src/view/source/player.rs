@@ -14,9 +14,10 @@ use hyper::body::Bytes;
 
 use super::reader::{Decoded, Labels, Reader, Recipe, Step};
 use crate::view::stage::{Command, Stage, State, packed, sweep_bytes};
+use sweepd_core::buffers::HeapBuffer;
+use sweepd_core::buffers::HeapBuffers;
 use sweepd_core::segment::ConfigError;
-use sweepd_core::sweep::buffers::HeapBuffer;
-use sweepd_core::sweep::{HeapBuffers, SweepRef};
+use sweepd_core::sweep::SweepRef;
 
 /// Sweeps that are kept for steps back.
 const KEPT: usize = 16;

@@ -14,11 +14,12 @@ use crate::admission::{DiscoveredSensors, Route, SensorFilter};
 use crate::capture::{Capture, CaptureError, Placed};
 use crate::cure::{Dialect, explain};
 use sweepd_client::host::monotonic_ns;
+use sweepd_core::buffers::HeapBuffer;
+use sweepd_core::buffers::{HeapBuffers, Memory};
 use sweepd_core::pipeline::{Config, Pipeline, TimedSegmenter};
 use sweepd_core::segment::{ConfigError, Segmenter};
-use sweepd_core::sweep::buffers::HeapBuffer;
 use sweepd_core::sweep::layout::flags;
-use sweepd_core::sweep::{HeapBuffers, Memory, SweepMut, SweepRef};
+use sweepd_core::sweep::{SweepMut, SweepRef};
 
 /// Where datagrams come from, again and again from the beginning.
 #[derive(Clone)]

@@ -47,7 +47,7 @@ impl Simulation {
 
     /// The model and the scene.
     pub(crate) fn name(&self) -> String {
-        let model = self.config.model.spec().name;
+        let model = self.config.model.name();
         format!("{model}, simulated: {}", self.setting.name())
     }
 

@@ -3,12 +3,13 @@
 use std::f64::consts::TAU;
 use std::sync::OnceLock;
 
+use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::model::Stamp;
-use sweepd::sensor::{Calibration, Model, stream};
+use sweepd::sensor::{Calibration, Model, ModelExt, stream};
 use sweepd::simulate::unit::unit;
+use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::{COLUMNS_CAPACITY, LABEL_FIRST_SEGMENT, ReturnChoice};
-use sweepd::sweep::{HeapBuffers, Memory, SweepRef};
 use sweepd::wire::data::{BLOCKS, DATA_PACKET_LEN, ReturnMode};
 use sweepd::wire::hdl64::{Clock, Dump, Gps, Live, Series, pair};
 use sweepd::wire::position::POSITION_PACKET_LEN;

@@ -2,8 +2,9 @@
 
 use std::f64::consts::TAU;
 
+use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::sweep::layout::{Completion, Header, Segment};
-use sweepd::sweep::{Buffers, HeapBuffers, Shape, SweepMut, SweepRef};
+use sweepd::sweep::{Shape, SweepMut, SweepRef};
 
 use super::Numbers;
 

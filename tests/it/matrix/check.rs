@@ -5,7 +5,7 @@ use std::f64::consts::{PI, TAU};
 
 use sweepd::admission::{DiscoveredSensors, Refusal, Refused, Route};
 use sweepd::pipeline::{Config, Counts, Notice};
-use sweepd::sensor::Model;
+use sweepd::sensor::{Model, ModelExt};
 use sweepd::simulate::{Damage, PacketPart, PacketTruth};
 use sweepd::sweep::layout::flags::*;
 use sweepd::sweep::{Column, SweepRef};

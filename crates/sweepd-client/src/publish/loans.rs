@@ -8,8 +8,8 @@ use super::keeper::Keeper;
 use super::pool::{Loan, SensorPool};
 use super::settings::ServiceSettings;
 use super::status::PublishStatus;
-use sweepd_core::sweep::buffers::HeapBuffer;
-use sweepd_core::sweep::{Buffers, HeapBuffers};
+use sweepd_core::buffers::HeapBuffer;
+use sweepd_core::buffers::{Buffers, HeapBuffers};
 
 /// Room for the sweeps of one sensor, in shared memory.
 ///

@@ -89,7 +89,7 @@ impl Beat {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sensor::Model;
+    use crate::sensor::{Model, ModelExt};
 
     #[test]
     fn a_crystal_keeps_the_period_of_the_table() {

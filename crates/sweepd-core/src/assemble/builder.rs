@@ -11,7 +11,7 @@ use super::motion::{FiringTiming, TURN};
 use super::open_sweep::{ColumnTarget, FiringContext, OpenSweep, decode, radians, rate_rad_s};
 use super::order::{OrderedPacket, PacketGap};
 use super::row_offsets::RowOffsets;
-use crate::sweep::buffers::OpenBuffer;
+use crate::buffers::OpenBuffer;
 use crate::sweep::image::SweepMut;
 use crate::sweep::layout::{COLUMNS_CAPACITY, Column, ReturnChoice, Shape, TimeSource, flags};
 use crate::wire::data::ReturnMode;

@@ -261,7 +261,7 @@ fn beam_rows(calibration: &Calibration, spec: &Spec, mode: ReturnMode) -> Vec<Be
     let beams = calibration.beams();
     (calibration.rows().iter())
         .map(|&channel| &beams[channel])
-        .map(|beam| BeamRow::new(beam, spec.channel_offset_ns(beam.channel, mode)))
+        .map(|beam| beam.row(spec.channel_offset_ns(beam.channel, mode)))
         .collect()
 }
 
@@ -298,6 +298,7 @@ mod tests {
     use zerocopy::little_endian::U16;
 
     use super::*;
+    use crate::sensor::ModelExt;
     use crate::wire::DataPacket;
     use crate::wire::data::Record;
 

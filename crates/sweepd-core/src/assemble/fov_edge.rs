@@ -153,7 +153,7 @@ impl FovEdge {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sensor::Model;
+    use crate::sensor::{Model, ModelExt};
 
     /// A VLP-16 at 600 rpm: 478 hundredths of a degree a packet, 40 from azimuth to azimuth.
     fn speed() -> Option<HeadSpeed> {

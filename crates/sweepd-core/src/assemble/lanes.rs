@@ -412,7 +412,7 @@ pub fn place(channel: u32) -> (usize, usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sensor::Model;
+    use crate::sensor::{Model, ModelExt};
 
     #[test]
     fn a_direction_is_that_of_the_azimuth() {

@@ -9,9 +9,11 @@
 //! clock        sensor, host and GPS time                 fov_edge       the cut where the field of view is limited
 //!                                                        open_sweep     what the open sweep holds
 //!                                                        row_offsets    how far rows point to the side of their firing
+//!                                                        beam_row       beams to rows of the table
 //!                                                        decode, lanes  records to pixels, sixteen beams at once
 //! ```
 
+mod beam_row;
 mod beat;
 pub mod builder;
 pub mod clock;

@@ -418,9 +418,9 @@ fn median(values: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sensor::Model;
+    use crate::sensor::{Model, ModelExt};
 
-    const SPEC: &Spec = Model::Vlp16.spec();
+    const SPEC: &Spec = Spec::of(Model::Vlp16);
 
     fn packet(azimuths: [u16; 12]) -> DataPacket {
         let mut packet = DataPacket::new(0, 0x37, 0x22);

@@ -8,7 +8,7 @@ use crate::assemble::clock::{Clocks, SensorClock};
 use crate::assemble::motion::rate_between;
 use crate::sensor::detect::{DetectError, Detection, Detector, MAX_PACKETS};
 use crate::sensor::unit::{Unit, UnitUpdate};
-use crate::sensor::{Calibration, Model};
+use crate::sensor::{Calibration, Model, ModelExt};
 use crate::wire::DataPacket;
 use crate::wire::data::ReturnMode;
 use crate::wire::hdl64::Series;

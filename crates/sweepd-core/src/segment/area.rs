@@ -61,7 +61,7 @@ mod tests {
         let mut elevation_rad = 0.15_f64;
         let mut beams = Vec::new();
         while elevation_rad > -0.15 {
-            beams.push(BeamRow::new(&Beam::ideal(beams.len(), elevation_rad), 0));
+            beams.push(Beam::ideal(beams.len(), elevation_rad).row(0));
             elevation_rad -= if beams.len() % 3 == 0 { 0.004 } else { 0.008 };
         }
         let mut areas = Areas::default();

@@ -371,11 +371,12 @@ mod tests {
 
     use super::*;
     use crate::assemble::lanes::levels;
+    use crate::buffers::{Buffers, HeapBuffers};
     use crate::segment::Mount;
     use crate::segment::order::AHEAD;
     use crate::segment::ranges::to_step;
     use crate::sensor::Beam;
-    use crate::sweep::{BeamRow, Buffers, HeapBuffers, Shape, SweepMut};
+    use crate::sweep::{Shape, SweepMut};
 
     /// A word, bit r for row r, of the ground in a column of points: distance and height from a
     /// sensor this high over the ground. It is put into several columns of a strip, and seen with
@@ -396,7 +397,7 @@ mod tests {
             let places = [0, 5, 15, 16, 63];
             for (row, &(away_m, height_m)) in column.iter().enumerate() {
                 let elevation_rad = height_m.atan2(away_m) + tilt;
-                sweep.beams[row] = BeamRow::new(&Beam::ideal(row, elevation_rad), 0);
+                sweep.beams[row] = Beam::ideal(row, elevation_rad).row(0);
                 for place in places {
                     let lane = lane_read(row) + place;
                     let range_m = away_m.hypot(height_m) as f32;

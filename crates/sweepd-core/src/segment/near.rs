@@ -282,7 +282,7 @@ mod tests {
     fn rows(rng: &mut Rng) -> ([BeamRow; 2], [f64; 2]) {
         let first_rad = rng.f64() - 0.5;
         let elevations_rad = [first_rad, first_rad - 0.1 * rng.f64()];
-        let beams = [0, 1].map(|row| BeamRow::new(&Beam::ideal(row, elevations_rad[row]), 0));
+        let beams = [0, 1].map(|row| Beam::ideal(row, elevations_rad[row]).row(0));
         (beams, elevations_rad)
     }
 

@@ -399,11 +399,12 @@ mod tests {
 
     use super::*;
     use crate::assemble::lanes::levels;
+    use crate::buffers::HeapBuffer;
+    use crate::buffers::{Buffers, HeapBuffers};
     use crate::segment::{Mount, points};
     use crate::sensor::Beam;
-    use crate::sweep::buffers::HeapBuffer;
     use crate::sweep::layout::flags;
-    use crate::sweep::{BeamRow, Buffers, Column, HeapBuffers, Shape};
+    use crate::sweep::{Column, Shape};
 
     const ROWS: usize = 16;
 
@@ -425,7 +426,7 @@ mod tests {
             *column = Column::measured(0, 0, azimuth_rad as f32, (10.0 * TAU) as f32, 0);
         }
         for (row, beam) in sweep.beams.iter_mut().enumerate() {
-            *beam = BeamRow::new(&Beam::ideal(row, (15.0 - 2.0 * row as f64).to_radians()), 0);
+            *beam = Beam::ideal(row, (15.0 - 2.0 * row as f64).to_radians()).row(0);
         }
         for ranges in sweep.range.chunks_exact_mut(ROWS) {
             let share = rng.f32() - 0.3;

@@ -34,8 +34,8 @@ use std::cmp::Ordering;
 use timing::{ModelTiming, fits, fits_once, since, timing_of, timings};
 use turn::Turn;
 
-use super::Model;
 use super::model::Spec;
+use super::{Model, ModelExt};
 use crate::wire::data::{BLOCKS, Banks, DUAL_WITH_CONFIDENCE, DataPacket, ReturnMode, TRIPLE};
 
 /// Packets after which [`Detector::observe`] has always decided.

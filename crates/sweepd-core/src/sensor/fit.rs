@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use super::{Calibration, Model, ros_yaml};
+use super::{Calibration, Model, ModelExt, ros_yaml};
 
 /// Greatest deviation of a beam from its nominal elevation: much more than units differ, much less
 /// than models do.
@@ -14,18 +14,15 @@ const MAX_ROTATION_DEG: f64 = 0.1;
 /// 10. More would shift rows by more columns than a sweep has room for.
 const MAX_ASIDE_DEG: f64 = 12.0;
 
-impl Model {
-    /// The nominal beams of this model, the table in `calib/` that the binary embeds; `None` where
-    /// each unit has its own.
-    pub fn calibration(self) -> Option<&'static Calibration> {
-        static TABLES: [OnceLock<Calibration>; Model::ALL.len()] =
-            [const { OnceLock::new() }; Model::ALL.len()];
-        let nominal = self.spec().nominal.as_ref()?;
-        Some(TABLES[self as usize].get_or_init(|| {
-            ros_yaml::parse(nominal.text, nominal.file)
-                .expect("the tables in calib/ are part of the program and tested")
-        }))
-    }
+/// The nominal beams of a model: see [`ModelExt::calibration`].
+pub(super) fn nominal(model: Model) -> Option<&'static Calibration> {
+    static TABLES: [OnceLock<Calibration>; Model::ALL.len()] =
+        [const { OnceLock::new() }; Model::ALL.len()];
+    let nominal = model.spec().nominal.as_ref()?;
+    Some(TABLES[model as usize].get_or_init(|| {
+        ros_yaml::parse(nominal.text, nominal.file)
+            .expect("the tables in calib/ are part of the program and tested")
+    }))
 }
 
 impl Calibration {

@@ -1,6 +1,6 @@
 //! The sensors: each model as a table chosen once, and where each of its beams points.
 //!
-//! * [`model`]: names, factory bytes, firing order and timing.
+//! * [`model`]: factory bytes, firing order and timing.
 //! * [`calibration`]: the beams, their elevations and offsets, and the rows that follow from them.
 //! * [`read`]: calibration files, in one of two formats, [`db_xml`] and [`ros_yaml`].
 //! * [`stream`]: the calibration that an HDL-64E sends; [`mod@unit`]: what else it sends.
@@ -20,4 +20,4 @@ mod table;
 pub mod unit;
 
 pub use calibration::{Beam, Calibration, CalibrationError};
-pub use model::Model;
+pub use model::{Model, ModelExt};

@@ -1,44 +1,21 @@
 //! The models as const tables: everything that differs between them is here.
 
-use crate::wire::data::{BLOCKS, DataPacket, FLAG_UNUSED, FLAGS, RECORDS, ReturnMode};
+use super::Calibration;
+use super::fit::nominal;
+pub use crate::sweep::sensor::{Model, Places, UnknownModel};
+use crate::wire::data::{DataPacket, FLAG_UNUSED, FLAGS, RECORDS, ReturnMode};
 
-/// A supported sensor model.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Model {
-    /// VLP-16 "Puck": 16 beams, 2 degrees apart.
-    Vlp16,
-    /// Puck LITE: a lighter VLP-16 with the same beams, timing and product byte.
-    PuckLite,
-    /// Puck Hi-Res: 16 beams, 1.33 degrees apart.
-    PuckHiRes,
-    /// HDL-32E: 32 beams, 1.33 degrees apart.
-    Hdl32e,
-    /// HDL-64E S2 and S2.1: two heads of 32 beams, each unit with a calibration of its own.
-    Hdl64eS2,
-    /// HDL-64E S3: the same, optionally with two returns, and with a checksum over its status.
-    Hdl64eS3,
-    /// VLP-32C "Ultra Puck", and VLP-32MR, which has the same beams: 32 beams, the closest 0.33
-    /// degrees apart.
-    Vlp32c,
-    /// VLS-128 "Alpha Prime": 128 beams, most of them 0.11 degrees apart.
-    Vls128,
-}
-
-/// Properties of a model: names, factory byte, firing order and timing.
+/// Properties of a model: factory byte, firing order and timing.
 #[derive(Debug, PartialEq)]
 pub struct Spec {
-    /// Name in output, as the maker writes it.
-    pub name: &'static str,
-    /// Name as the value of `--model`.
-    pub flag: &'static str,
+    /// The model.
+    pub model: Model,
     /// Factory byte 1205; `None` where that byte is something else.
     pub product: Option<u8>,
     /// Number of beams, of records in a firing and of rows in the image.
     pub channels: usize,
     /// Heads that fire together, each with its share of the channels.
     heads: usize,
-    /// Whether a block is followed by that of its other return, and not by that of the next bank.
-    returns_adjoin: bool,
     /// Firing times with one return, and with two.
     timing: [Timing; 2],
     /// What the time stamp of a packet is the time of.
@@ -67,19 +44,6 @@ struct Timing {
     burst_ns: &'static [u32],
     /// Bursts after which the lasers pause, each time, and for how long.
     pause: Option<(usize, u32)>,
-}
-
-/// Where the returns of one azimuth are in a packet: all of them in neighbouring blocks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Places {
-    /// Blocks that share one azimuth. The first azimuth begins with block 0.
-    pub blocks: usize,
-    /// Azimuths of a packet. Blocks behind the last one are not used.
-    pub azimuths: usize,
-    /// Blocks from a bank of 32 channels to the next bank, of the same return.
-    pub bank_step: usize,
-    /// Blocks from a return to the other one, of the same bank.
-    pub return_step: usize,
 }
 
 /// What the time stamp of a packet is the time of.
@@ -116,12 +80,10 @@ const SINGLE_SHOTS: Timing = Timing {
 
 /// VLP-16 User Manual 63-9243, sections 6 and 9.4 (timing), p. 54 (vertical offsets).
 const VLP16: Spec = Spec {
-    name: "VLP-16",
-    flag: "vlp16",
+    model: Model::Vlp16,
     product: Some(0x22),
-    channels: 16,
+    channels: Model::Vlp16.channels(),
     heads: 1,
-    returns_adjoin: false,
     timing: [Timing {
         firing_period_ns: 55_296,
         burst_period_ns: 2_304,
@@ -139,14 +101,12 @@ const VLP16: Spec = Spec {
 };
 
 const PUCK_LITE: Spec = Spec {
-    name: "Puck LITE",
-    flag: "puck-lite",
+    model: Model::PuckLite,
     ..VLP16
 };
 
 const PUCK_HIRES: Spec = Spec {
-    name: "Puck Hi-Res",
-    flag: "puck-hires",
+    model: Model::PuckHiRes,
     product: Some(0x24),
     nominal: Some(Nominal {
         focal_radius_m: 0.041_91,
@@ -159,10 +119,9 @@ const PUCK_HIRES: Spec = Spec {
 /// HDL-32E User's Manual, pp. 12-13 and Appendix E; application note 63-9277 (the stamp is that of
 /// the first shot).
 const HDL32E: Spec = Spec {
-    name: "HDL-32E",
-    flag: "hdl32e",
+    model: Model::Hdl32e,
     product: Some(0x21),
-    channels: 32,
+    channels: Model::Hdl32e.channels(),
     timing: [Timing {
         firing_period_ns: 46_080,
         burst_period_ns: 1_152,
@@ -197,10 +156,9 @@ const EVERY_57_6_US: Timing = Timing {
 /// HDL-64E S2 manual, Appendix D; S3 manual pp. 20 and 47. An S2 reports one return only: a sensor
 /// with two is an S3.
 const HDL64E_S2: Spec = Spec {
-    name: "HDL-64E S2",
-    flag: "hdl64e-s2",
+    model: Model::Hdl64eS2,
     product: None,
-    channels: 64,
+    channels: Model::Hdl64eS2.channels(),
     heads: 2,
     timing: [EVERY_48_US, EVERY_57_6_US],
     stamp: Stamp::Output,
@@ -211,8 +169,7 @@ const HDL64E_S2: Spec = Spec {
 
 /// With one return, packets of an S3 come 288 us apart in most sources.
 const HDL64E_S3: Spec = Spec {
-    name: "HDL-64E S3",
-    flag: "hdl64e-s3",
+    model: Model::Hdl64eS3,
     ..HDL64E_S2
 };
 
@@ -224,10 +181,9 @@ const HDL64E_S3_SLOW: Spec = Spec {
 
 /// VLP-32C User Manual 63-9325, pp. 53-69: two beams fire at once.
 const VLP32C: Spec = Spec {
-    name: "VLP-32C",
-    flag: "vlp32c",
+    model: Model::Vlp32c,
     product: Some(0x28),
-    channels: 32,
+    channels: Model::Vlp32c.channels(),
     timing: [Timing {
         firing_period_ns: 55_296,
         burst_period_ns: 2_304,
@@ -271,11 +227,9 @@ const EVERY_57_8_US: Timing = Timing {
 };
 
 const VLS128: Spec = Spec {
-    name: "VLS-128",
-    flag: "vls128",
+    model: Model::Vls128,
     product: Some(0xA1),
-    channels: 128,
-    returns_adjoin: true,
+    channels: Model::Vls128.channels(),
     timing: [EVERY_55_3_US; 2],
     stamp: Stamp::FourthBurst,
     shifted: true,
@@ -299,66 +253,64 @@ const VLS128_SLOW: Spec = Spec {
     ..VLS128
 };
 
-impl Model {
-    /// All supported models.
-    pub const ALL: [Self; 8] = [
-        Self::Vlp16,
-        Self::PuckLite,
-        Self::PuckHiRes,
-        Self::Hdl32e,
-        Self::Hdl64eS2,
-        Self::Hdl64eS3,
-        Self::Vlp32c,
-        Self::Vls128,
-    ];
-
+/// What the driver knows of a [`Model`].
+pub trait ModelExt {
     /// The table of this model.
-    pub const fn spec(self) -> &'static Spec {
-        match self {
-            Self::Vlp16 => &VLP16,
-            Self::PuckLite => &PUCK_LITE,
-            Self::PuckHiRes => &PUCK_HIRES,
-            Self::Hdl32e => &HDL32E,
-            Self::Hdl64eS2 => &HDL64E_S2,
-            Self::Hdl64eS3 => &HDL64E_S3,
-            Self::Vlp32c => &VLP32C,
-            Self::Vls128 => &VLS128,
-        }
-    }
+    fn spec(self) -> &'static Spec;
 
-    /// All tables of this model, [`Model::spec`] first; the packet period decides. An HDL-64E S3
+    /// All tables of this model, [`ModelExt::spec`] first; the packet period decides. An HDL-64E S3
     /// has one more, in which a firing takes 57.6 us with one return as well: sources contradict
     /// each other. Firmware of the VLS-128 has three timings.
-    pub const fn specs(self) -> &'static [&'static Spec] {
-        match self {
-            Self::Vlp16 => &[&VLP16],
-            Self::PuckLite => &[&PUCK_LITE],
-            Self::PuckHiRes => &[&PUCK_HIRES],
-            Self::Hdl32e => &[&HDL32E],
-            Self::Hdl64eS2 => &[&HDL64E_S2],
-            Self::Hdl64eS3 => &[&HDL64E_S3, &HDL64E_S3_SLOW],
-            Self::Vlp32c => &[&VLP32C],
-            Self::Vls128 => &[&VLS128, &VLS128_STEADY, &VLS128_SLOW],
-        }
+    fn specs(self) -> &'static [&'static Spec];
+
+    /// The nominal beams of this model, the table in `calib/` that the binary embeds; `None` where
+    /// each unit has its own.
+    fn calibration(self) -> Option<&'static Calibration>;
+}
+
+impl ModelExt for Model {
+    fn spec(self) -> &'static Spec {
+        Spec::of(self)
     }
 
-    /// The number of this model in the header of a sweep, from 1; its meaning never changes.
-    pub const fn code(self) -> u32 {
-        self as u32 + 1
+    fn specs(self) -> &'static [&'static Spec] {
+        Spec::all_of(self)
     }
 
-    /// The model of a code.
-    pub fn from_code(code: u32) -> Option<Self> {
-        Self::ALL.get((code as usize).checked_sub(1)?).copied()
-    }
-
-    /// Whether it is an HDL-64E of any series.
-    pub fn is_hdl64e(self) -> bool {
-        self.spec().channels == 64
+    fn calibration(self) -> Option<&'static Calibration> {
+        nominal(self)
     }
 }
 
 impl Spec {
+    /// The table of a model: [`ModelExt::spec`] in constants.
+    pub(crate) const fn of(model: Model) -> &'static Self {
+        match model {
+            Model::Vlp16 => &VLP16,
+            Model::PuckLite => &PUCK_LITE,
+            Model::PuckHiRes => &PUCK_HIRES,
+            Model::Hdl32e => &HDL32E,
+            Model::Hdl64eS2 => &HDL64E_S2,
+            Model::Hdl64eS3 => &HDL64E_S3,
+            Model::Vlp32c => &VLP32C,
+            Model::Vls128 => &VLS128,
+        }
+    }
+
+    /// All tables of a model: [`ModelExt::specs`] in constants.
+    pub(super) const fn all_of(model: Model) -> &'static [&'static Self] {
+        match model {
+            Model::Vlp16 => &[&VLP16],
+            Model::PuckLite => &[&PUCK_LITE],
+            Model::PuckHiRes => &[&PUCK_HIRES],
+            Model::Hdl32e => &[&HDL32E],
+            Model::Hdl64eS2 => &[&HDL64E_S2],
+            Model::Hdl64eS3 => &[&HDL64E_S3, &HDL64E_S3_SLOW],
+            Model::Vlp32c => &[&VLP32C],
+            Model::Vls128 => &[&VLS128, &VLS128_STEADY, &VLS128_SLOW],
+        }
+    }
+
     /// Lasers of a block; a firing of more beams takes several blocks.
     pub const fn channels_per_block(&self) -> usize {
         if self.channels < RECORDS {
@@ -375,20 +327,7 @@ impl Spec {
 
     /// Where the returns of an azimuth are.
     pub const fn places(&self, mode: ReturnMode) -> Places {
-        let banks = self.banks();
-        let returns = mode.returns();
-        let blocks = banks * returns;
-        let [bank_step, return_step] = if self.returns_adjoin {
-            [returns, 1]
-        } else {
-            [1, banks]
-        };
-        Places {
-            blocks,
-            azimuths: BLOCKS / blocks,
-            bank_step,
-            return_step,
-        }
+        self.model.places(mode)
     }
 
     /// Writes the bank marker of each block, as a packet of this model has it.
@@ -464,84 +403,9 @@ impl Spec {
     }
 }
 
-/// A text that names no model.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct UnknownModel;
-
-impl std::fmt::Display for UnknownModel {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let flags = Model::ALL.map(|model| model.spec().flag).join(", ");
-        write!(f, "no supported model; expected one of {flags}")
-    }
-}
-
-impl std::error::Error for UnknownModel {}
-
-/// By [`Spec::flag`] or [`Spec::name`], in any case and with any hyphens, points and blanks:
-/// `VLP-16`, `hdl64e s2.1`.
-impl std::str::FromStr for Model {
-    type Err = UnknownModel;
-
-    fn from_str(text: &str) -> Result<Self, UnknownModel> {
-        let word = letters_and_digits(text);
-        match &word[..] {
-            "puck" => Ok(Self::Vlp16),
-            "hdl64es21" => Ok(Self::Hdl64eS2),
-            "ultrapuck" => Ok(Self::Vlp32c),
-            "alphaprime" => Ok(Self::Vls128),
-            _ => Self::ALL
-                .into_iter()
-                .find(|model| {
-                    let spec = model.spec();
-                    letters_and_digits(spec.flag) == word || letters_and_digits(spec.name) == word
-                })
-                .ok_or(UnknownModel),
-        }
-    }
-}
-
-fn letters_and_digits(text: &str) -> String {
-    text.chars()
-        .filter(char::is_ascii_alphanumeric)
-        .map(|one| one.to_ascii_lowercase())
-        .collect()
-}
-
-impl std::fmt::Display for Model {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.spec().name)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn models_are_known_by_their_usual_spellings() {
-        for (text, model) in [
-            ("vlp16", Model::Vlp16),
-            ("VLP-16", Model::Vlp16),
-            ("Puck", Model::Vlp16),
-            ("Puck LITE", Model::PuckLite),
-            ("puck_hi-res", Model::PuckHiRes),
-            ("HDL-32E", Model::Hdl32e),
-            ("HDL-64E S2", Model::Hdl64eS2),
-            ("hdl64e-s2.1", Model::Hdl64eS2),
-            ("HDL64E_S3", Model::Hdl64eS3),
-            ("Ultra Puck", Model::Vlp32c),
-            ("VLP-32C", Model::Vlp32c),
-            ("Alpha Prime", Model::Vls128),
-            ("vls-128", Model::Vls128),
-        ] {
-            assert_eq!(text.parse::<Model>().ok(), Some(model), "{text}");
-        }
-        for text in [
-            "", "-", "vlp", "vlp-32a", "hdl64e", "hdl64", "os1", "vlp16x",
-        ] {
-            assert!(text.parse::<Model>().is_err(), "{text}");
-        }
-    }
 
     #[test]
     fn packet_periods_are_the_published_ones() {

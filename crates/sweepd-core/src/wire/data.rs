@@ -13,13 +13,10 @@ use zerocopy::little_endian::{U16, U32};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
 
 use super::PacketError;
+pub use crate::sweep::sensor::{BLOCKS, RECORDS, ReturnMode};
 
 /// Bytes of a data packet.
 pub const DATA_PACKET_LEN: usize = 1206;
-/// Blocks of a data packet.
-pub const BLOCKS: usize = 12;
-/// Records of a block.
-pub const RECORDS: usize = 32;
 /// Azimuth units of a whole turn: hundredths of a degree.
 pub const TURN_CDEG: u16 = 36_000;
 
@@ -91,63 +88,6 @@ impl Block {
     /// Sets the azimuth, hundredths of a degree, unchanged.
     pub fn set_azimuth_cdeg(&mut self, azimuth: u16) {
         self.azimuth = U16::new(azimuth);
-    }
-}
-
-/// The return mode (byte 1204); sent by a VLP-16 since firmware 3.0.29, by an HDL-32E since 2.2.20.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ReturnMode {
-    /// One return a record: the strongest.
-    Strongest,
-    /// One return a record: the last.
-    Last,
-    /// Two returns: blocks come in pairs of equal azimuth, even = last, odd = strongest; where the
-    /// last is the strongest, the odd one holds the second strongest, and both are equal where
-    /// there is one return (VLP-16 manual, section 6).
-    Dual,
-}
-
-impl ReturnMode {
-    /// The mode of a factory byte; `None` for a blank or unknown one.
-    pub fn from_byte(byte: u8) -> Option<Self> {
-        match byte {
-            0x37 => Some(Self::Strongest),
-            0x38 => Some(Self::Last),
-            0x39 => Some(Self::Dual),
-            _ => None,
-        }
-    }
-
-    /// The factory byte of this mode.
-    pub fn byte(self) -> u8 {
-        match self {
-            Self::Strongest => 0x37,
-            Self::Last => 0x38,
-            Self::Dual => 0x39,
-        }
-    }
-
-    /// Its name in output: `strongest`, `last` or `dual`.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Strongest => "strongest",
-            Self::Last => "last",
-            Self::Dual => "dual",
-        }
-    }
-
-    /// Returns reported for each shot: 2 in dual mode, else 1.
-    pub const fn returns(self) -> usize {
-        match self {
-            Self::Dual => 2,
-            Self::Strongest | Self::Last => 1,
-        }
-    }
-}
-
-impl std::fmt::Display for ReturnMode {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.name())
     }
 }
 

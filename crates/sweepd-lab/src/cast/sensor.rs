@@ -3,10 +3,11 @@
 use std::f64::consts::{PI, TAU};
 
 use fastrand::Rng;
+use sweepd_core::buffers::{Buffers, HeapBuffers};
 use sweepd_core::segment::{Config, Mount, Segmenter};
-use sweepd_core::sensor::{Beam, Model};
+use sweepd_core::sensor::{Beam, Model, ModelExt};
 use sweepd_core::sweep::layout::flags;
-use sweepd_core::sweep::{BeamRow, Buffers, Column, HeapBuffers, Pose, Shape, SweepMut};
+use sweepd_core::sweep::{Column, Pose, Shape, SweepMut};
 use sweepd_core::wire::data::ReturnMode;
 
 use super::{Found, Ray, Scene, Solid, View, What};
@@ -184,7 +185,7 @@ impl Sensor {
             false => 0,
         };
         for (row, beam) in sweep.beams.iter_mut().zip(&self.beams) {
-            *row = BeamRow::new(beam, 0);
+            *row = beam.row(0);
         }
         let (pose, mut rng) = (self.pose(), Rng::with_seed(self.seed));
         let mut found = Vec::new();

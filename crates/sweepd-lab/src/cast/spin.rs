@@ -2,6 +2,7 @@
 
 use std::f64::consts::TAU;
 use std::time::Duration;
+use sweepd_core::sensor::ModelExt;
 
 use fastrand::Rng;
 use sweepd_core::sensor::Beam;
@@ -31,7 +32,7 @@ impl<'a> Spin<'a> {
     /// If the sensor sends a firing in several blocks, or its beams point aside.
     pub fn new(sensor: &'a Sensor, scene: &'a Scene) -> Self {
         let spec = sensor.model.spec();
-        assert!(!spec.shifted && spec.banks() == 1, "{}", spec.name);
+        assert!(!spec.shifted && spec.banks() == 1, "{}", spec.model.name());
         let mut beams = sensor.beams().to_vec();
         beams.sort_by_key(|beam| beam.channel);
         Self {

@@ -13,11 +13,12 @@ use super::polar::{self, Polars};
 use super::rings::{BeamFitter, Finder, Ring};
 use super::rows::{Groups, RowTable};
 use super::{Cloud, CloudError};
+use sweepd_core::buffers::HeapBuffer;
+use sweepd_core::buffers::{Buffers, HeapBuffers};
 use sweepd_core::segment::{SAME_OBJECT_M, turn_over};
 use sweepd_core::sensor::Beam;
-use sweepd_core::sweep::buffers::HeapBuffer;
 use sweepd_core::sweep::layout::{COLUMNS_CAPACITY, LABEL_NONE, flags, is_return};
-use sweepd_core::sweep::{BeamRow, Buffers, Column, HeapBuffers, Shape, SweepMut};
+use sweepd_core::sweep::{Column, Shape, SweepMut};
 
 /// Turns a second for the columns' times; a cloud has no times.
 const TURNS_A_SECOND: f64 = 10.0;
@@ -395,6 +396,6 @@ fn fill_tables(sweep: &mut SweepMut<'_>, rings: &[Ring], columns: &[Column]) {
             vertical_offset_m: ring.vertical_offset_m,
             ..Beam::ideal(row, ring.elevation_rad)
         };
-        *beam = BeamRow::new(&fitted, 0);
+        *beam = fitted.row(0);
     }
 }

@@ -10,7 +10,7 @@ use super::optics::Optics;
 use super::shape::{Vec3, floor};
 use super::{street, unit};
 use sweepd_core::sensor::model::Spec;
-use sweepd_core::sensor::{Calibration, Model};
+use sweepd_core::sensor::{Calibration, Model, ModelExt};
 use sweepd_core::wire::data::ReturnMode;
 
 /// A sensor and what it is connected to.

@@ -3,11 +3,12 @@
 
 use std::collections::BTreeSet;
 
+use sweepd_core::buffers::HeapBuffer;
+use sweepd_core::buffers::{HeapBuffers, Memory};
 use sweepd_core::pipeline::{Config, Counts, Fault, Pipeline};
 use sweepd_core::sensor::model::Stamp;
-use sweepd_core::sensor::{Beam, Calibration, Model};
-use sweepd_core::sweep::buffers::HeapBuffer;
-use sweepd_core::sweep::{HeapBuffers, Memory, SweepRef};
+use sweepd_core::sensor::{Beam, Calibration, Model, ModelExt};
+use sweepd_core::sweep::SweepRef;
 use sweepd_core::wire::Datagram;
 use sweepd_core::wire::data::{BLOCKS, Banks, DataPacket, RECORDS, Record, ReturnMode};
 

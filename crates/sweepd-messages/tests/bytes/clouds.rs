@@ -1,10 +1,10 @@
 //! Clouds.
 
 use sweepd_core::sensor::Beam;
-use sweepd_core::sweep::layout::{ReturnKind, flags};
-use sweepd_core::sweep::{BeamRow, Column, Return, SweepRef};
 use sweepd_messages::cloud::FieldsError;
 use sweepd_messages::{Cloud, Fields, Layout, MessageHeader, Points, Stamp};
+use sweepd_sweep::layout::{ReturnKind, flags};
+use sweepd_sweep::{Column, Return, SweepRef};
 
 use super::reader::Reader;
 use super::scene::Scene;
@@ -87,8 +87,8 @@ fn a_cloud_is_byte_for_byte_that_of_ros() {
     let mut scene = Scene::new(64, 2, false);
     scene.fill(|sweep| {
         let up = 3_f64.atan2(5_f64.sqrt());
-        sweep.beams[63] = BeamRow::new(&Beam::ideal(63, up), 0);
-        sweep.beams[0] = BeamRow::new(&Beam::ideal(0, -up), 0);
+        sweep.beams[63] = Beam::ideal(63, up).row(0);
+        sweep.beams[0] = Beam::ideal(0, -up).row(0);
         // ROS' (1, 2) is 1 forward and 2 left.
         let azimuth_rad = (-2_f64).atan2(1.0).rem_euclid(std::f64::consts::TAU);
         let opposite_rad = azimuth_rad - std::f64::consts::PI;

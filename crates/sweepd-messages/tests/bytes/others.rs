@@ -2,14 +2,14 @@
 
 use nalgebra::{Quaternion, Rotation3, UnitQuaternion, Vector3};
 use sweepd_core::segment::Mount;
-use sweepd_core::sweep::Pose;
-use sweepd_core::sweep::layout::flags;
 use sweepd_messages::diagnostics::{Level, Status};
 use sweepd_messages::graph::{GidForm, Node};
 use sweepd_messages::transforms::Transform;
 use sweepd_messages::{
     MessageHeader, Stamp, diagnostics, graph, image, markers, palette, transforms,
 };
+use sweepd_sweep::Pose;
+use sweepd_sweep::layout::flags;
 
 use super::reader::Reader;
 use super::scene::Scene;

@@ -1,10 +1,10 @@
 //! Sweeps to encode.
 
+use sweepd_core::buffers::{Buffers, HeapBuffer, HeapBuffers};
 use sweepd_core::sensor::Beam;
-use sweepd_core::sweep::buffers::{Buffers, HeapBuffer, HeapBuffers};
-use sweepd_core::sweep::layout::{ReturnKind, flags};
-use sweepd_core::sweep::{BeamRow, Column, Shape, SweepMut, SweepRef};
-use sweepd_core::wire::data::ReturnMode;
+use sweepd_sweep::ReturnMode;
+use sweepd_sweep::layout::{ReturnKind, flags};
+use sweepd_sweep::{Column, Shape, SweepMut, SweepRef};
 
 /// A sweep and its bytes.
 pub struct Scene(HeapBuffer);
@@ -58,10 +58,7 @@ fn scatter(sweep: &mut SweepMut<'_>, random: &mut fastrand::Rng) {
         };
     }
     for (row, beam) in sweep.beams.iter_mut().enumerate() {
-        *beam = BeamRow::new(
-            &Beam::ideal(row, f64::from(random.f32()) - 0.5),
-            random.u32(0..55_296),
-        );
+        *beam = Beam::ideal(row, f64::from(random.f32()) - 0.5).row(random.u32(0..55_296));
         beam.shift = random.i32(-3..4);
         beam.rotation_rad = random.f32() - 0.5;
         beam.vertical_offset_m = random.f32() * 0.2;

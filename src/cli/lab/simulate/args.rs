@@ -15,7 +15,7 @@ use crate::cli::play::destination;
 use crate::files;
 use crate::files::output::Former;
 use sweepd_core::sensor::model::Spec;
-use sweepd_core::sensor::{Calibration, Model};
+use sweepd_core::sensor::{Calibration, Model, ModelExt};
 use sweepd_core::wire::data::ReturnMode;
 use sweepd_lab::simulate::clock::{Clock, Reception};
 use sweepd_lab::simulate::shape::Vec3;
@@ -326,7 +326,7 @@ impl Args {
         if model != Model::Hdl64eS2 {
             return Ok(());
         }
-        let other = Model::Hdl64eS3.spec().flag;
+        let other = Model::Hdl64eS3.flag();
         Err(CliError::Usage(format!(
             "{flag}: an {model} has one return; one that has two is --model {other}"
         )))

@@ -17,7 +17,7 @@ use crate::suggest::suggestion;
 use sweepd_client::publish::{NAME_RULE, is_sensor_name};
 use sweepd_core::pipeline;
 use sweepd_core::segment::{self, ConfigError, Mask, Setting};
-use sweepd_core::sensor::{Calibration, Model};
+use sweepd_core::sensor::{Calibration, Model, ModelExt};
 
 /// Ports that a Velodyne sends to unless it is told others.
 const PORT: u16 = 2368;
@@ -207,7 +207,7 @@ impl Check<'_> {
         let model = given.get_ref().parse();
         if model.is_err() {
             let flags = Model::ALL
-                .map(|model| format!("`{}`", model.spec().flag))
+                .map(|model| format!("`{}`", model.flag()))
                 .join(", ");
             let expected = format!("expected one of {flags}");
             let cure =

@@ -1,7 +1,7 @@
 //! Stamps that are wrong, alone or from one packet on, for every model, return mode and speed.
 
 use super::*;
-use crate::sensor::Model;
+use crate::sensor::{Model, ModelExt};
 use crate::wire::HOUR_US;
 
 /// Packets of a stream, and the one from which on something is wrong.
@@ -180,7 +180,7 @@ fn one_wrong_stamp_harms_no_other_packet() {
             if !holds && !stream.may_be_loss(off_us) {
                 wrong.push(format!(
                     "{off_us} us, {} {} {} rpm: {}",
-                    stream.spec.name,
+                    stream.spec.model.name(),
                     stream.mode,
                     stream.rpm,
                     outcome.around()
@@ -214,7 +214,7 @@ fn a_stamp_that_is_set_right_costs_nothing() {
                 if !holds {
                     wrong.push(format!(
                         "{what}, {off_us} us, {} {mode} {rpm} rpm: {}",
-                        spec.name,
+                        spec.model.name(),
                         outcome.around()
                     ));
                 }
@@ -269,20 +269,20 @@ fn stamps_that_are_always_off_the_period_are_accepted() {
             .filter(|(number, _)| *number >= LONG / 2)
             .collect();
         let Stream {
-            spec: Spec { name, .. },
+            spec: Spec { model, .. },
             mode,
             rpm,
         } = stream;
         assert!(
             outcome.refused <= 24,
-            "{name}, {mode:?}, {rpm} rpm: {} refused",
+            "{model}, {mode:?}, {rpm} rpm: {} refused",
             outcome.refused
         );
-        assert_eq!(late.len(), LONG / 2, "{name}, {mode:?}, {rpm} rpm");
+        assert_eq!(late.len(), LONG / 2, "{model}, {mode:?}, {rpm} rpm");
         let follow = late
             .iter()
             .skip(1)
             .all(|(_, before)| *before == PacketGap::None);
-        assert!(follow, "{name}, {mode:?}, {rpm} rpm");
+        assert!(follow, "{model}, {mode:?}, {rpm} rpm");
     }
 }

@@ -1,5 +1,5 @@
 use super::*;
-use crate::sensor::Model;
+use crate::sensor::{Model, ModelExt};
 
 const PERIOD_US: f64 = 1327.104;
 

@@ -285,8 +285,7 @@ mod tests {
     /// 35.4 degrees.
     #[test]
     fn rows_are_apart_by_elevation_and_turn() {
-        let row =
-            |degrees: f64, time_ns| BeamRow::new(&Beam::ideal(0, degrees.to_radians()), time_ns);
+        let row = |degrees: f64, time_ns| Beam::ideal(0, degrees.to_radians()).row(time_ns);
         let rows = [row(1.0, 0), row(-1.0, 1_000_000)];
         let pair = Pair::of_rows(&rows[0], &rows[1], 0.5_f64.to_radians(), true);
         assert!((pair.cos_alpha.acos().to_degrees() - 2_f64.hypot(0.5)).abs() < 1e-3);
@@ -303,7 +302,7 @@ mod tests {
         let mut angles = Angles::default();
         let pitch_rad = angles.measure_columns(&columns(&[0.0, 1.0]), false);
         angles.measure_rows(
-            &[BeamRow::new(&Beam::ideal(0, 60_f64.to_radians()), 0)],
+            &[Beam::ideal(0, 60_f64.to_radians()).row(0)],
             pitch_rad,
             0.0,
         );
@@ -321,14 +320,12 @@ mod tests {
     #[test]
     fn beams_that_start_apart_stay_apart() {
         let beam = |vertical_offset_m, horizontal_offset_m| {
-            BeamRow::new(
-                &Beam {
-                    vertical_offset_m,
-                    horizontal_offset_m,
-                    ..Beam::ideal(0, 0.0)
-                },
-                0,
-            )
+            Beam {
+                vertical_offset_m,
+                horizontal_offset_m,
+                ..Beam::ideal(0, 0.0)
+            }
+            .row(0)
         };
         let mut angles = Angles::default();
         angles.measure_rows(&[beam(0.1, 0.05), beam(0.0, 0.0)], 0.01, 0.0);

@@ -189,7 +189,7 @@ mod tests {
     fn rows(elevations_rad: &[f64]) -> Vec<BeamRow> {
         elevations_rad
             .iter()
-            .map(|&elevation_rad| BeamRow::new(&Beam::ideal(0, elevation_rad), 0))
+            .map(|&elevation_rad| Beam::ideal(0, elevation_rad).row(0))
             .collect()
     }
 

@@ -1,7 +1,7 @@
 //! The detected model of a stream.
 
-use crate::sensor::Model;
 use crate::sensor::model::Spec;
+use crate::sensor::{Model, ModelExt};
 use crate::wire::data::{BLOCKS, Banks, DataPacket, ReturnMode};
 
 /// The model of a stream, the evidence for it, and the content of its packets.

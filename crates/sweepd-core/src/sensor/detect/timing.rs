@@ -17,15 +17,15 @@ pub(super) type ModelTiming = (Model, &'static Spec);
 
 /// The timings of sensors with one bank; other models share one of them.
 pub(super) const OF_ONE_BANK: [ModelTiming; 3] = [
-    (Model::Vlp16, Model::Vlp16.spec()),
-    (Model::Hdl32e, Model::Hdl32e.spec()),
-    (Model::Vlp32c, Model::Vlp32c.spec()),
+    (Model::Vlp16, Spec::of(Model::Vlp16)),
+    (Model::Hdl32e, Spec::of(Model::Hdl32e)),
+    (Model::Vlp32c, Spec::of(Model::Vlp32c)),
 ];
 /// The timings of an HDL-64E. One with one return every 288 us may be an S2 or an S3; one with two
 /// is an S3.
 const OF_TWO_BANKS: [ModelTiming; 2] = [
-    (Model::Hdl64eS2, Model::Hdl64eS2.spec()),
-    (Model::Hdl64eS3, Model::Hdl64eS3.specs()[1]),
+    (Model::Hdl64eS2, Spec::of(Model::Hdl64eS2)),
+    (Model::Hdl64eS3, Spec::all_of(Model::Hdl64eS3)[1]),
 ];
 
 /// The timings that packets of this layout may have.

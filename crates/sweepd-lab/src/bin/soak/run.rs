@@ -228,7 +228,7 @@ impl Setup {
             if sensor.model.is_hdl64e() {
                 text += &format!(
                     "model = \"{}\"\ncalibration = \"unit.yaml\"\n",
-                    sensor.model.spec().flag
+                    sensor.model.flag()
                 );
             }
         }

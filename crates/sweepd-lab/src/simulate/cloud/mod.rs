@@ -32,7 +32,7 @@ use crate::cloud::fit::{self, Prior, Sample};
 use crate::cloud::rings::{self, Polar, Ring};
 use crate::cloud::{COLUMNS, places};
 use sweepd_core::sensor::model::Spec;
-use sweepd_core::sensor::{Beam, Calibration, Model};
+use sweepd_core::sensor::{Beam, Calibration, Model, ModelExt};
 use sweepd_core::wire::data::ReturnMode;
 
 /// The sensor: the scans are those of an S2.

@@ -4,7 +4,7 @@ use crate::simulate::optics::Optics;
 use crate::simulate::scene::{Class, Surface};
 use crate::simulate::shape::Shape;
 use crate::simulate::street::street;
-use sweepd_core::sensor::{Beam, Model, stream};
+use sweepd_core::sensor::{Beam, Model, ModelExt, stream};
 use sweepd_core::wire::hdl64::{DumpState, Gps, Series, Status};
 use sweepd_core::wire::position::Position;
 

@@ -3,7 +3,7 @@
 use super::{
     ALIGN, BeamRow, COLUMNS_CAPACITY, Column, Header, LAYOUT_VERSION, MAGIC, PARTS, Segment,
 };
-use crate::sweep::objects::OBJECTS_VERSION;
+use crate::objects::OBJECTS_VERSION;
 
 /// Capacities of a sweep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,7 +49,7 @@ impl Shape {
         self.offsets().1
     }
 
-    pub(in crate::sweep) fn part_bytes(&self) -> [usize; PARTS] {
+    pub(crate) fn part_bytes(&self) -> [usize; PARTS] {
         let pixels = self.rows * self.columns_capacity;
         let other = if self.dual { pixels } else { 0 };
         [
@@ -111,7 +111,7 @@ pub enum LayoutError {
 }
 
 /// The shape of a header that others wrote, if all its values are possible in `bytes` bytes.
-pub(in crate::sweep) fn checked_shape(header: &Header, bytes: usize) -> Result<Shape, LayoutError> {
+pub(crate) fn checked_shape(header: &Header, bytes: usize) -> Result<Shape, LayoutError> {
     if header.magic != MAGIC {
         return Err(LayoutError::Foreign);
     }

@@ -26,13 +26,11 @@
 mod header;
 mod shape;
 
-use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
-
-use crate::sensor::Beam;
+use zerocopy::{FromBytes, FromZeros, Immutable, IntoBytes, KnownLayout};
 
 pub use self::header::{Completion, HOST_FIELDS};
-pub(in crate::sweep) use self::header::{padded, text};
-pub(in crate::sweep) use self::shape::checked_shape;
+pub(crate) use self::header::{padded, text};
+pub(crate) use self::shape::checked_shape;
 pub use self::shape::{LayoutError, Shape};
 
 #[cfg(not(target_endian = "little"))]
@@ -110,7 +108,7 @@ pub enum ReturnChoice {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(usize)]
 pub enum Part {
-    /// f32 metres a pixel; see [`is_return`], and [`crate::sweep::corrected`] for
+    /// f32 metres a pixel; see [`is_return`], and [`crate::corrected`] for
     /// the last bit on an HDL-64E.
     Range = 0,
     /// u8 a pixel.
@@ -206,10 +204,10 @@ pub struct Header {
     pub segments: u32,
     /// Segments that the table has room for.
     pub segments_capacity: u32,
-    /// Code of the [`Model`](crate::sensor::Model): 1 VLP-16, 2 Puck LITE, 3 Puck Hi-Res, 4
+    /// Code of the [`Model`](crate::Model): 1 VLP-16, 2 Puck LITE, 3 Puck Hi-Res, 4
     /// HDL-32E, 5 HDL-64E S2 (or S2.1), 6 HDL-64E S3, 7 VLP-32C (or VLP-32MR), 8 VLS-128.
     pub model: u32,
-    /// [`ReturnMode::byte`](crate::wire::data::ReturnMode::byte).
+    /// [`ReturnMode::byte`](crate::ReturnMode::byte).
     pub return_mode: u32,
     /// [`ReturnChoice`].
     pub return_choice: u32,
@@ -404,21 +402,13 @@ pub struct BeamRow {
 }
 
 impl BeamRow {
-    /// The row of a beam that fires this long after the first shot of its firing.
-    pub fn new(beam: &Beam, time_offset_ns: u32) -> Self {
-        let [near_x_m, near_y_m] = beam.near_distance_offsets_m();
+    /// The row of an ideal beam: all offsets are 0.
+    pub fn ideal(channel: u32, elevation_rad: f32, time_offset_ns: u32) -> Self {
         Self {
-            channel: beam.channel as u32,
-            elevation_rad: beam.elevation_rad as f32,
-            rotation_rad: beam.rotation_rad as f32,
+            channel,
+            elevation_rad,
             time_offset_ns,
-            vertical_offset_m: beam.vertical_offset_m as f32,
-            horizontal_offset_m: beam.horizontal_offset_m as f32,
-            shift: 0,
-            distance_offset_m: beam.distance_offset_m as f32,
-            distance_offset_x_m: near_x_m as f32,
-            distance_offset_y_m: near_y_m as f32,
-            _reserved: [0; 2],
+            ..Self::new_zeroed()
         }
     }
 }

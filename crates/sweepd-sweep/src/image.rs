@@ -8,9 +8,7 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 use super::corrected::Corrected;
 use super::layout::*;
 use super::pose::Pose;
-use crate::sensor::Model;
-use crate::sensor::model::Places;
-use crate::wire::data::{RECORDS, ReturnMode};
+use super::sensor::{Model, Places, RECORDS, ReturnMode};
 
 /// A sweep to read: a view over its bytes, trimmed to the columns and segments that are there.
 #[derive(Clone, Copy)]
@@ -377,7 +375,7 @@ impl<'a> SweepRef<'a> {
     /// [`Header::time_source`]. With the poses of a moving sensor, this deskews the sweep.
     ///
     /// ```
-    /// # use sweepd_core::sweep::{Pose, SweepRef};
+    /// # use sweepd_sweep::{Pose, SweepRef};
     /// # fn odometry(time_ns: i64) -> Pose { Pose::IDENTITY }
     /// # fn show(sweep: SweepRef<'_>) {
     /// let mount = Pose::of_mount(sweep.header);
@@ -427,7 +425,7 @@ impl<'a> SweepRef<'a> {
     /// program does not know.
     fn places(&self) -> Places {
         let model = Model::from_code(self.header.model).unwrap_or(Model::Vlp16);
-        model.spec().places(self.header.return_mode())
+        model.places(self.header.return_mode())
     }
 
     fn at(&self, row: usize, column: usize, stored: StoredReturn) -> Option<Return> {
@@ -463,7 +461,7 @@ impl<'a> SweepRef<'a> {
 
 /// The column that is `shift` columns further.
 #[inline]
-pub(crate) fn shifted(column: usize, shift: i32, columns: usize, circular: bool) -> usize {
+pub fn shifted(column: usize, shift: i32, columns: usize, circular: bool) -> usize {
     let at = column as i64 + i64::from(shift);
     match usize::try_from(at) {
         Ok(at) if at < columns => at,
@@ -562,8 +560,6 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::sensor::Beam;
-    use crate::sweep::buffers::{Buffers, HeapBuffers};
 
     const SHAPE: Shape = Shape {
         rows: 3,
@@ -574,14 +570,14 @@ mod tests {
 
     #[test]
     fn what_is_written_is_read_and_a_wrong_header_is_refused() {
-        let mut buffer = HeapBuffers::default().take(SHAPE.total_bytes());
-        let bytes: &mut [u8] = buffer.as_mut();
+        let mut buffer = memory(SHAPE.total_bytes());
+        let bytes: &mut [u8] = buffer.as_mut_bytes();
         bytes.fill(0xA5);
         let sweep = SweepMut::create(bytes, &SHAPE).unwrap();
         sweep.range[4] = 2.0;
         sweep.label2[5] = 7;
         sweep.columns[1] = Column::measured(9, 4, 1.5, 60.0, 11);
-        sweep.beams[2] = BeamRow::new(&Beam::ideal(1, -0.25), 2304);
+        sweep.beams[2] = BeamRow::ideal(1, -0.25, 2304);
         sweep.header.columns = 2;
         let read = SweepRef::open(bytes).unwrap();
         assert_eq!(
@@ -624,6 +620,11 @@ mod tests {
         assert_eq!(SweepRef::open(bytes).err(), Some(LayoutError::Foreign));
     }
 
+    /// Zeros, aligned as a sweep must be.
+    fn memory(bytes: usize) -> Vec<[u64; 8]> {
+        vec![[0; 8]; bytes.div_ceil(64)]
+    }
+
     /// Calls every method of a sweep, whatever it holds.
     fn ask_all(sweep: &SweepRef<'_>) {
         let (rows, columns) = (sweep.rows(), sweep.columns.len());
@@ -662,9 +663,9 @@ mod tests {
     fn pack_and_compare(sweep: &SweepRef<'_>) {
         let shape = sweep.packed_shape(sweep.segments.len());
         assert!(shape.total_bytes() <= sweep.header.total_bytes as usize);
-        let mut buffer = HeapBuffers::default().take(shape.total_bytes());
-        sweep.pack(&shape, buffer.as_mut()).unwrap();
-        let packed = SweepRef::open(buffer.as_ref()).unwrap();
+        let mut buffer = memory(shape.total_bytes());
+        sweep.pack(&shape, buffer.as_mut_bytes()).unwrap();
+        let packed = SweepRef::open(buffer.as_bytes()).unwrap();
         let parts = |sweep: &SweepRef<'_>| {
             [
                 sweep.range.as_bytes().to_vec(),
@@ -685,7 +686,7 @@ mod tests {
         assert!(parts(&packed) == parts(sweep));
         assert_eq!(packed.header.margin_columns, 0);
         if let Some(fewer) = sweep.segments.len().checked_sub(1) {
-            let refused = sweep.pack(&sweep.packed_shape(fewer), buffer.as_mut());
+            let refused = sweep.pack(&sweep.packed_shape(fewer), buffer.as_mut_bytes());
             assert_eq!(refused, Err(LayoutError::Inconsistent));
         }
     }
@@ -702,8 +703,8 @@ mod tests {
             cut in prop_oneof![4 => Just(0_usize), 1 => 1_usize..2000],
         ) {
             let shape = Shape { dual, ..SHAPE };
-            let mut buffer = HeapBuffers::default().take(shape.total_bytes());
-            let bytes: &mut [u8] = buffer.as_mut();
+            let mut buffer = memory(shape.total_bytes());
+            let bytes: &mut [u8] = buffer.as_mut_bytes();
             // xorshift64: planes and tables hold arbitrary values.
             let mut state = noise | 1;
             for byte in &mut *bytes {
@@ -728,11 +729,8 @@ mod tests {
     /// By hand: azimuth 90 degrees is +x; 30 degrees up at 2 m is 1.732 m out and 1 m up.
     #[test]
     fn axes_are_those_of_the_manual() {
-        let raised = Beam {
-            vertical_offset_m: 0.01,
-            ..Beam::ideal(0, 30_f64.to_radians())
-        };
-        let beam = BeamRow::new(&raised, 1_000_000);
+        let mut beam = BeamRow::ideal(0, 30_f32.to_radians(), 1_000_000);
+        beam.vertical_offset_m = 0.01;
         let column = Column::measured(0, 0, 80_f32.to_radians(), 10_f32.to_radians() * 1000.0, 0);
         let [x, y, z] = pixel_point_m(&column, &beam, 2.0);
         assert!((x - 1.732_050_8).abs() < 1e-6 && y.abs() < 1e-6 && (z - 1.01).abs() < 1e-6);

@@ -6,7 +6,7 @@ use zerocopy::{FromZeros, IntoBytes};
 
 /// Gives out slices to build sweeps in.
 pub trait Buffers {
-    /// One slice, aligned to [`super::layout::ALIGN`], with arbitrary content.
+    /// One slice, aligned to [`crate::sweep::layout::ALIGN`], with arbitrary content.
     type Buffer: AsRef<[u8]> + AsMut<[u8]>;
 
     /// A slice of at least `bytes` bytes.

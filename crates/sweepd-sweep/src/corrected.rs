@@ -36,11 +36,13 @@ pub struct Corrected {
     near: Option<[Offset; 2]>,
 }
 
-/// An additional offset along an axis: its value at zero, and its decrease per metre.
+/// An additional offset along an axis.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Offset {
-    pub(crate) base_m: f64,
-    pub(crate) slope: f64,
+pub struct Offset {
+    /// Its value at zero, metres.
+    pub base_m: f64,
+    /// Its decrease per metre.
+    pub slope: f64,
 }
 
 impl Offset {
@@ -91,18 +93,18 @@ impl Corrected {
     }
 
     /// The additional offsets for x and y, where there are any.
-    pub(crate) fn near(&self) -> Option<&[Offset; 2]> {
+    pub fn near(&self) -> Option<&[Offset; 2]> {
         self.near.as_ref()
     }
 
     /// Sine and cosine of the beam's elevation.
-    pub(crate) fn elevation(&self) -> [f64; 2] {
+    pub fn elevation(&self) -> [f64; 2] {
         [self.sin_elevation, self.cos_elevation]
     }
 
     /// Whether additional offsets apply at a measured distance, metres.
     #[inline]
-    pub(crate) fn is_near(measured_m: f64) -> bool {
+    pub fn is_near(measured_m: f64) -> bool {
         measured_m < FAR_M
     }
 
@@ -186,20 +188,14 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sensor::Beam;
-    use crate::sensor::calibration::TwoPoint;
     use proptest::prelude::*;
 
     fn beam(elevation_deg: f64, far_m: f64, x_m: f64, y_m: f64) -> Corrected {
-        let beam = Beam {
-            distance_offset_m: far_m,
-            two_point: Some(TwoPoint {
-                distance_offset_x_m: x_m,
-                distance_offset_y_m: y_m,
-            }),
-            ..Beam::ideal(0, elevation_deg.to_radians())
-        };
-        Corrected::new(&BeamRow::new(&beam, 0))
+        let mut beam = BeamRow::ideal(0, elevation_deg.to_radians() as f32, 0);
+        beam.distance_offset_m = far_m as f32;
+        beam.distance_offset_x_m = x_m as f32;
+        beam.distance_offset_y_m = y_m as f32;
+        Corrected::new(&beam)
     }
 
     /// By hand: level, D = 1.2, Dx = 1.3, Dy = 1.25. Measured 8.8 m, straight to the right: d = 10,

@@ -3,7 +3,7 @@
 use zerocopy::FromZeros;
 
 use super::{Column, Header, LAYOUT_VERSION, MAGIC, Part, Shape, TimeSource};
-use crate::wire::data::ReturnMode;
+use crate::ReturnMode;
 
 impl Header {
     /// A header of an empty sweep of this shape.
@@ -148,7 +148,7 @@ impl Header {
 }
 
 /// A zero padded text; empty if it is none, or not one to be shown.
-pub(in crate::sweep) fn text(padded: &[u8; 64]) -> &str {
+pub(crate) fn text(padded: &[u8; 64]) -> &str {
     let end = padded
         .iter()
         .position(|&byte| byte == 0)
@@ -163,7 +163,7 @@ pub(in crate::sweep) fn text(padded: &[u8; 64]) -> &str {
 }
 
 /// A text, cut to 64 bytes.
-pub(in crate::sweep) fn padded(text: &str) -> [u8; 64] {
+pub(crate) fn padded(text: &str) -> [u8; 64] {
     let mut padded = [0; 64];
     let len = text.floor_char_boundary(padded.len());
     padded[..len].copy_from_slice(&text.as_bytes()[..len]);

@@ -126,7 +126,7 @@ mod tests {
     use nalgebra::{Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3};
 
     use super::*;
-    use crate::sweep::Shape;
+    use crate::Shape;
 
     const POINT: [f64; 3] = [1.0, -2.0, 3.5];
 
