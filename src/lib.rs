@@ -81,6 +81,7 @@ pub mod doctor;
 pub mod export;
 pub mod files;
 mod http;
+pub mod publish;
 pub mod sensor_settings;
 mod suggest;
 mod text;
@@ -91,7 +92,7 @@ pub mod web_interface;
 /// 2026-11-24)`.
 pub const VERSION: &str = env!("SWEEPD_VERSION");
 
-pub use sweepd_client::{client, host, publish};
+pub use sweepd_client::{client, host};
 pub use sweepd_core::{assemble, buffers, pipeline, segment, sensor, sweep, wire};
 #[cfg(feature = "lab")]
 pub use sweepd_lab::{cast, cloud, score, simulate};

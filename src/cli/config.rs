@@ -7,8 +7,8 @@ use sweepd_core::sensor::ModelExt;
 
 use super::{CliError, complain};
 use crate::daemon::config::{Config, RecordConfig, SensorConfig, memory};
+use crate::publish::{SHARED_MEMORY, free_bytes, pool_sweeps};
 use crate::text::count_of;
-use sweepd_client::publish::{SHARED_MEMORY, free_bytes, pool_sweeps};
 use sweepd_core::segment::Method;
 
 /// The configuration that systemd/ ships.

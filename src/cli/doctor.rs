@@ -15,7 +15,7 @@ use crate::daemon::config::Config;
 use crate::doctor::diagnose::sweep_bytes;
 use crate::doctor::plan::HEALTH;
 use crate::doctor::{ExamineError, Finding, Observations, Plan, Severity, diagnose, examine};
-use sweepd_client::publish::pool_sweeps;
+use crate::publish::pool_sweeps;
 
 /// Options of `sweepd doctor`.
 #[derive(Clone, Debug, clap::Args)]

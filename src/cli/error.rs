@@ -11,8 +11,8 @@ use crate::daemon::config::ConfigError;
 use crate::daemon::record::client::RemoteRecordError;
 use crate::export::WriteError;
 use crate::files::CalibrationFileError;
+use crate::publish::PublishError;
 use sweepd_client::client::ClientError;
-use sweepd_client::publish::PublishError;
 
 /// Why a command did not complete.
 #[derive(Debug, thiserror::Error)]

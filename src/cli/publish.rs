@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 
 use super::CliError;
-use sweepd_client::host::{monotonic_ns, realtime_ns};
-use sweepd_client::publish::{
+use crate::publish::{
     Domain, Loans, NAME_RULE, PublishError, ServiceSettings, Slot, Topic, is_sensor_name,
 };
+use sweepd_client::host::{monotonic_ns, realtime_ns};
 use sweepd_core::sweep::SweepMut;
 use sweepd_core::sweep::layout::Completion;
 

@@ -12,7 +12,7 @@ use self::journal::Prioritised;
 use super::CliError;
 use crate::daemon::config::{Config, ConfigError, Effect};
 use crate::daemon::control::{self, Reload, Reread};
-use sweepd_client::publish::{Domain, Keeper};
+use crate::publish::{Domain, Keeper};
 
 /// Variable with the log filter, in the directives of tracing-subscriber.
 const LOG: &str = "SWEEPD_LOG";

@@ -8,9 +8,9 @@ use std::process::{Command, Stdio};
 use super::CliError;
 use super::options::{SegmentOptions, SensorOptions, pipeline_config};
 use super::publish::RootOptions;
+use crate::publish::is_sensor_name;
 use crate::view::source::reader::{Origin, Recipe};
 use crate::view::{Source, serve};
-use sweepd_client::publish::is_sensor_name;
 
 #[cfg(feature = "lab")]
 use super::options::model;

@@ -83,7 +83,7 @@ impl Config {
 /// What is not of one sensor.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DaemonConfig {
-    /// Folder of iceoryx2's files; `None` takes the default of [`sweepd_client::publish`].
+    /// Folder of iceoryx2's files; `None` takes the default of [`crate::publish`].
     pub root: Option<PathBuf>,
     /// Where health and metrics are served over HTTP; `None` serves none.
     pub http: Option<SocketAddr>,

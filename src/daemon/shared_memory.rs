@@ -1,10 +1,10 @@
-//! Implements [`super::sharing`] with shared memory, by [`sweepd_client::publish`].
+//! Implements [`super::sharing`] with shared memory, by [`crate::publish`].
 
 use std::sync::Arc;
 
 use super::config::{SensorConfig, memory};
 use super::sharing::{ObjectsOutput, Outgoing, SharedOutput, Sharing, SharingError, SharingStatus};
-use sweepd_client::publish::{Keeper, Loans, PublishStatus, ServiceSettings, Slot, Topic};
+use crate::publish::{Keeper, Loans, PublishStatus, ServiceSettings, Slot, Topic};
 use sweepd_core::buffers::Buffers;
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::objects::MESSAGE_BYTES;

@@ -1,6 +1,6 @@
 //! The daemon's interface for publishing sweeps: buffers to build them in, and a way to send them.
 //!
-//! [`sweepd_client::publish`] implements it with shared memory; tests have their own
+//! [`crate::publish`] implements it with shared memory; tests have their own
 //! implementations.
 
 use std::sync::Arc;

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::observe::{Host, Interface, RootTrouble};
 use super::sys;
-use sweepd_client::publish::{self, Domain};
+use crate::publish::{self, Domain};
 
 /// Examines this host; `root` is the folder of iceoryx2's files, if not the default. Leaves out
 /// what cannot be determined.

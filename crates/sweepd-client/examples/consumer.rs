@@ -14,7 +14,7 @@ use std::io::Write;
 use std::time::{Duration, Instant, SystemTime};
 
 use sweepd_client::client::{Client, Domain, Object, Objects, SweepRef};
-use sweepd_core::sweep::objects::{ObjectsHeader, why};
+use sweepd_client::sweep::objects::{ObjectsHeader, why};
 
 const USAGE: &str = "usage: consumer [--objects] NAME [ROOT]   (name of the sensor; the daemon's folder, if not the default one)";
 

@@ -13,7 +13,7 @@
 use std::time::{Duration, SystemTime};
 
 use sweepd_client::client::Client;
-use sweepd_core::sweep::objects::flags;
+use sweepd_client::sweep::objects::flags;
 
 /// The box in the frame of the robot, least and greatest x (right), y (ahead) and z (up), metres.
 const STOP_M: [[f64; 3]; 2] = [[-1.0, 0.5, 0.05], [1.0, 5.0, 2.0]];

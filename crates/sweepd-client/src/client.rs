@@ -1,48 +1,20 @@
-//! The sweeps of a running daemon, without a copy: for programs on the same host.
-//!
-//! This crate builds nothing of the daemon:
-//!
-//! ```toml
-//! sweepd-client = { git = "..." }
-//! ```
-//!
-//! ```no_run
-//! use std::time::Duration;
-//! use sweepd_client::client::Client;
-//!
-//! let mut roof = Client::new("roof")?;
-//! while let Some(sweep) = roof.next(Duration::from_secs(5))? {
-//!     let view = sweep.view()?;
-//!     let nearest = view.segments.iter().map(|segment| segment.nearest_m).fold(f32::INFINITY, f32::min);
-//!     println!("sweep {}: {} segments, the nearest at {nearest:.2} m", view.header.sequence, view.segments.len());
-//!     for point in view.returns().filter(|point| point.label >= 2) {
-//!         let [_x, _y, _z] = point.point_m;
-//!     }
-//! }
-//! # Ok::<(), Box<dyn std::error::Error>>(())
-//! ```
-//!
-//! [`SweepRef::points_in`] brings the points into another frame, by the pose at each shot.
-//!
-//! It may be started before the daemon, and continues after a restart of the daemon. It must run as
-//! the daemon's user: only the owner has access to the shared memory, and another user, including
-//! root, gets an error that says so.
-//!
-//! A publisher that is not sweepd, or of another version, or broken, causes an error and never a
-//! panic: the header of each sweep is copied once and checked, and only the copy is used. Values in
-//! planes and tables are not checked: a range may be infinite, a label may have no segment.
+//! The sweeps and objects of one sensor.
 
 use std::time::Duration;
 
 use zerocopy::FromBytes;
 
-pub use crate::publish::{Domain, DomainError, JoinError, SubscribeError};
-use crate::publish::{Received, Subscriber, Topic, attributes};
-use sweepd_core::sweep::Header;
-pub use sweepd_core::sweep::layout::LayoutError;
-use sweepd_core::sweep::objects::ObjectsHeader;
-pub use sweepd_core::sweep::objects::{Object, ObjectsRef};
-pub use sweepd_core::sweep::{Pose, Return, SweepRef};
+use sweepd_sweep::Header;
+pub use sweepd_sweep::layout::LayoutError;
+use sweepd_sweep::objects::ObjectsHeader;
+pub use sweepd_sweep::objects::{Object, ObjectsRef};
+pub use sweepd_sweep::{Pose, Return, SweepRef};
+
+pub use crate::domain::{Domain, DomainError};
+pub use crate::join::JoinError;
+use crate::service::{Topic, attributes};
+pub use crate::subscriber::SubscribeError;
+use crate::subscriber::{Received, Subscriber};
 
 /// The sweeps of one sensor.
 #[derive(Debug)]
@@ -114,7 +86,7 @@ impl Client {
     /// if none came, or if the program handled a signal.
     ///
     /// A slow consumer gets the newest two: gaps in
-    /// [`Header::sequence`](sweepd_core::sweep::Header::sequence) show what it missed.
+    /// [`Header::sequence`](sweepd_sweep::Header::sequence) show what it missed.
     ///
     /// # Errors
     /// [`ClientError`]: an error that does not pass by waiting.
@@ -244,7 +216,7 @@ impl Sweep {
         SweepRef::with_header(&self.header, self.received.as_ref())
     }
 
-    /// Its bytes, as [`sweepd_core::sweep::layout`] defines them.
+    /// Its bytes, as [`sweepd_sweep::layout`] defines them.
     pub fn bytes(&self) -> &[u8] {
         self.received.as_ref()
     }

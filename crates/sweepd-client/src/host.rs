@@ -1,8 +1,11 @@
-//! This host: its clocks, and its users.
+//! This host: its clocks, its users, its shared memory, and a sleep that ends with a signal.
 
 #![allow(unsafe_code)]
 
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::io;
+use std::mem::MaybeUninit;
+use std::ptr;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// The effective user number of this program. (The owner of /proc/self would be root for a program
 /// with capabilities.)
@@ -45,9 +48,56 @@ pub fn monotonic_ns() -> i64 {
     i64::from(now.tv_sec) * 1_000_000_000 + i64::from(now.tv_nsec)
 }
 
+/// Sleeps for that long, in whole milliseconds (poll(2)). Whether that was the whole time: unlike
+/// `std::thread::sleep`, it ends when the program has handled a signal.
+pub(crate) fn sleep(time: Duration) -> bool {
+    let ms = i32::try_from(time.as_millis()).unwrap_or(i32::MAX).max(1);
+    // SAFETY: no descriptors are passed, and so no memory of this program.
+    unsafe { libc::poll(ptr::null_mut(), 0, ms) == 0 }
+}
+
+/// Bytes of shared memory on this host: all there may be, and those that are free (statvfs(3)).
+///
+/// # Errors
+/// What the system says.
+pub fn memory_bytes() -> io::Result<(u64, u64)> {
+    let mut numbers = MaybeUninit::<libc::statvfs>::zeroed();
+    // SAFETY: a path that ends in a zero, and room for the numbers; the call keeps neither.
+    let done = unsafe { libc::statvfs(c"/dev/shm".as_ptr(), numbers.as_mut_ptr()) };
+    if done != 0 {
+        return Err(io::Error::last_os_error());
+    }
+    // SAFETY: zeroes are a value of this struct of numbers, and the call has filled it in.
+    let numbers = unsafe { numbers.assume_init() };
+    #[allow(clippy::unnecessary_cast, reason = "32 bits have other types")]
+    let [all, free, unit] = [
+        numbers.f_blocks as u64,
+        numbers.f_bavail as u64,
+        numbers.f_frsize as u64,
+    ];
+    Ok((all.saturating_mul(unit), free.saturating_mul(unit)))
+}
+
+/// Bytes of shared memory that are free on this host.
+///
+/// # Errors
+/// What the system says.
+pub fn free_bytes() -> io::Result<u64> {
+    memory_bytes().map(|(_, free)| free)
+}
+
 #[cfg(test)]
 mod tests {
+    use std::sync::mpsc;
+    use std::thread;
+    use std::time::Instant;
+
     use super::*;
+    use crate::client::{Client, Domain};
+
+    const LONG: Duration = Duration::from_secs(60);
+
+    extern "C" fn handle(_: libc::c_int) {}
 
     #[test]
     fn users_have_names_or_numbers() {
@@ -60,8 +110,30 @@ mod tests {
     #[test]
     fn the_clock_goes_on() {
         let begun_ns = monotonic_ns();
-        std::thread::sleep(std::time::Duration::from_millis(2));
+        thread::sleep(Duration::from_millis(2));
         let took_ns = monotonic_ns() - begun_ns;
         assert!((2_000_000..10_000_000_000).contains(&took_ns), "{took_ns}");
+    }
+
+    #[test]
+    fn a_signal_ends_the_wait_for_a_daemon_that_is_not_there() {
+        let handler: extern "C" fn(libc::c_int) = handle;
+        // SAFETY: the handler does nothing, and nothing else in this process uses the signal.
+        unsafe { libc::signal(libc::SIGUSR1, handler as libc::sighandler_t) };
+        let (sender, receiver) = mpsc::channel();
+        let begun = Instant::now();
+        let waits = thread::spawn(move || {
+            // SAFETY: it asks for a number.
+            sender.send(unsafe { libc::pthread_self() }).unwrap();
+            let mut client = Client::within(&Domain::at("/tmp/sweepd-none"), "roof").unwrap();
+            client.next(LONG).unwrap().is_none()
+        });
+        let thread = receiver.recv().unwrap();
+        while !waits.is_finished() && begun.elapsed() < LONG {
+            // SAFETY: the thread has not been joined.
+            unsafe { libc::pthread_kill(thread, libc::SIGUSR1) };
+            thread::sleep(Duration::from_millis(5));
+        }
+        assert!(waits.join().unwrap() && begun.elapsed() < LONG / 2);
     }
 }

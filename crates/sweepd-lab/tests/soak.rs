@@ -9,7 +9,7 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use sweepd_client::client::Domain;
-use sweepd_client::publish::SHARED_MEMORY;
+use sweepd_client::domain::SHARED_MEMORY;
 use sweepd_lab::testkit::{PATIENCE, Process};
 
 const ARGS: [&str; 8] = [

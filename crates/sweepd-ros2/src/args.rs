@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Parser;
-use sweepd_client::publish::{NAME_RULE, is_sensor_name};
+use sweepd_client::service::{NAME_RULE, is_sensor_name};
 
 /// Publishes the sweeps that sweepd shares on the ROS 2 graph; it needs no ROS
 #[derive(Debug, Parser)]

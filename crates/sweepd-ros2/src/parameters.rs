@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use serde::de::{Deserializer, MapAccess, SeqAccess, Visitor};
 use serde_saphyr::{Location, Spanned, UserMessageFormatter};
-use sweepd_client::publish::{NAME_RULE, is_sensor_name};
+use sweepd_client::service::{NAME_RULE, is_sensor_name};
 
 use sweepd_messages::{Fields, Layout, Stamp};
 

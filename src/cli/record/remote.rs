@@ -12,7 +12,7 @@ use crate::daemon::record::client::{RemoteRecordError, RemoteRecording};
 use crate::daemon::record::protocol::{Ended, Reply, Request, VERSION};
 use crate::daemon::record::socket_path;
 use crate::export::Existing;
-use sweepd_client::publish::Domain;
+use crate::publish::Domain;
 
 /// Has the daemon record a sensor until `over` is set, the time is up, or the daemon ends it.
 pub fn record(

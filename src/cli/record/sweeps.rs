@@ -14,9 +14,9 @@ use crate::cli::{CliError, complain};
 use crate::export::WriteError;
 use crate::export::mcap::{McapFiles, RecoveryWatch, SweepMessages, WrittenSweeps};
 use crate::files::parts::Recovery;
+use crate::publish::Domain;
 use crate::text::{count_of, grouped};
 use sweepd_client::client::Client;
-use sweepd_client::publish::Domain;
 
 /// Sweeps that wait for the disk: two seconds of most sensors.
 const QUEUE: usize = 20;

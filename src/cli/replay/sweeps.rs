@@ -8,7 +8,7 @@ use super::summary::Sums;
 use crate::cli::CliError;
 use crate::cli::output::{EncodedFiles, Encoder, Outputs, SweepId};
 use crate::cli::publish::publish;
-use sweepd_client::publish::{Loans, Slot};
+use crate::publish::{Loans, Slot};
 use sweepd_core::buffers::Buffers;
 use sweepd_core::pipeline::TimedSegmenter;
 use sweepd_core::sweep::{SweepMut, SweepRef};

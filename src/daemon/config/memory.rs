@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 use super::{SensorConfig, possible_models};
-use sweepd_client::publish::{Topic, pool_sweeps};
+use crate::publish::{Topic, pool_sweeps};
 use sweepd_core::sensor::{Model, ModelExt};
 use sweepd_core::sweep::layout::Shape;
 use sweepd_core::sweep::objects::MESSAGE_BYTES;

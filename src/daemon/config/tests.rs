@@ -807,10 +807,7 @@ fn memory_follows_from_the_model() {
     let exact = of("model = \"vlp16\"\nreturns = \"single\"\nmax_consumers = 1");
     let sweep = sweepd_core::sweep::layout::Shape::of(16, false, 10).total_bytes();
     assert_eq!(
-        (
-            sweepd_client::publish::pool_sweeps(1),
-            memory::sweep_bytes(&exact)
-        ),
+        (crate::publish::pool_sweeps(1), memory::sweep_bytes(&exact)),
         (7, sweep..=sweep)
     );
     assert_eq!(

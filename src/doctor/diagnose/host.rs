@@ -4,7 +4,7 @@ use super::Findings;
 use crate::doctor::Topic;
 use crate::doctor::observe::{Observations, PortResult, RootTrouble};
 use crate::doctor::plan::ExpectedSensor;
-use sweepd_client::publish::pool_sweeps;
+use crate::publish::pool_sweeps;
 use sweepd_core::sensor::{Model, ModelExt};
 use sweepd_core::sweep::layout::Shape;
 use sweepd_core::wire::data::ReturnMode;

@@ -6,7 +6,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use sweepd_client::client::Domain;
-use sweepd_client::publish::SHARED_MEMORY;
+use sweepd_client::domain::SHARED_MEMORY;
 use tempfile::{Builder, TempDir};
 
 /// A folder that only this user can read, with the root of a domain in it. When it is dropped, the

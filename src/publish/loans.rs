@@ -2,14 +2,15 @@
 
 use std::sync::Arc;
 
-use super::domain::Domain;
+use sweepd_client::domain::Domain;
+use sweepd_core::buffers::HeapBuffer;
+use sweepd_core::buffers::{Buffers, HeapBuffers};
+
 use super::error::PublishError;
 use super::keeper::Keeper;
 use super::pool::{Loan, SensorPool};
 use super::settings::ServiceSettings;
 use super::status::PublishStatus;
-use sweepd_core::buffers::HeapBuffer;
-use sweepd_core::buffers::{Buffers, HeapBuffers};
 
 /// Room for the sweeps of one sensor, in shared memory.
 ///

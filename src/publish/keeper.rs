@@ -17,8 +17,11 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use super::domain::Domain;
-use super::error::{JoinError, PublishError};
+use sweepd_client::domain::Domain;
+use sweepd_client::join::JoinError;
+use sweepd_client::leftovers::remove_unfinished;
+
+use super::error::PublishError;
 use super::leftovers;
 use super::pool::SensorPool;
 use super::service::Service;
@@ -98,7 +101,7 @@ impl Keeper {
     /// which another may be held up. Takes microseconds; for a thread that looks around about once
     /// a second.
     pub fn remove_unfinished(&self) {
-        leftovers::remove_unfinished(&self.domain);
+        remove_unfinished(&self.domain);
     }
 
     /// Where its services are.
@@ -227,7 +230,7 @@ impl KeeperThread {
     }
 
     fn look(&mut self) {
-        let is_pending = leftovers::remove_unfinished(&self.domain);
+        let is_pending = remove_unfinished(&self.domain);
         leftovers::remove_remains(&self.domain);
         for kept in &mut self.services {
             kept.look(&self.domain);

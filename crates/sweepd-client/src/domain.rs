@@ -9,8 +9,8 @@ use iceoryx2::config::Config;
 use iceoryx2::prelude::*;
 use iceoryx2::service::service_hash::ServiceHash;
 
-use super::settings::Ipc;
 use crate::host::{own_uid, user_name};
+use crate::service::Ipc;
 
 /// Where the system keeps shared memory, shm_open(3).
 pub const SHARED_MEMORY: &str = "/dev/shm";
@@ -209,7 +209,7 @@ impl Domain {
     }
 
     /// The error of a folder that the system does not let us use.
-    pub(super) fn unusable(&self, source: io::Error) -> DomainError {
+    pub fn unusable(&self, source: io::Error) -> DomainError {
         DomainError::Unusable {
             root: self.root.clone(),
             source,
@@ -266,7 +266,7 @@ impl Domain {
     }
 
     /// Settings of iceoryx2; its configuration files are not used.
-    pub(super) fn config(&self) -> Config {
+    pub fn config(&self) -> Config {
         let mut config = Config::default();
         // With a path that is too long or contains a zero, creating the node fails, which is an
         // error there.
@@ -285,33 +285,33 @@ impl Domain {
     }
 
     /// Its files in shared memory.
-    pub(super) fn shared_memory(&self) -> impl Iterator<Item = DirEntry> + use<> {
+    pub fn shared_memory(&self) -> impl Iterator<Item = DirEntry> + use<> {
         let prefix = self.prefix();
         entries(Path::new(SHARED_MEMORY)).filter(move |entry| is_named(&name_of(entry), &prefix))
     }
 
     /// Removes access by other users to the counter by which iceoryx2 numbers nodes, which iceoryx2
     /// leaves open to all; only programs of the domain need it.
-    pub(super) fn close_to_others(&self) {
+    pub fn close_to_others(&self) {
         for entry in self.shared_memory().filter(is_counter) {
             let _ = fs::set_permissions(entry.path(), fs::Permissions::from_mode(0o600));
         }
     }
 
     /// The folder of the service files.
-    pub(super) fn services(&self) -> PathBuf {
+    pub fn services(&self) -> PathBuf {
         self.root
             .join(Config::default().global.service.directory.to_string())
     }
 
     /// The folder of the nodes.
-    pub(super) fn nodes(&self) -> PathBuf {
+    pub fn nodes(&self) -> PathBuf {
         self.root
             .join(Config::default().global.node.directory.to_string())
     }
 
     /// The file of a service.
-    pub(super) fn service_file(&self, name: &ServiceName, pattern: MessagingPattern) -> PathBuf {
+    pub fn service_file(&self, name: &ServiceName, pattern: MessagingPattern) -> PathBuf {
         let service = Config::default().global.service;
         let hash = service_hash(name, pattern);
         self.services().join(format!(
@@ -323,21 +323,21 @@ impl Domain {
     }
 
     /// The file that the publisher of a service holds locked.
-    pub(super) fn claim_file(&self, name: &ServiceName) -> PathBuf {
+    pub fn claim_file(&self, name: &ServiceName) -> PathBuf {
         let hash = service_hash(name, MessagingPattern::PublishSubscribe);
         self.root
             .join(format!("{}{}.claim", self.prefix(), hash.as_str()))
     }
 
     /// The socket by which a listener is woken.
-    pub(super) fn event_socket(&self, listener: u128) -> PathBuf {
+    pub fn event_socket(&self, listener: u128) -> PathBuf {
         let ending = Config::default().global.service.event_connection_suffix;
         self.root
             .join(format!("{}{listener}{ending}", self.prefix()))
     }
 
     /// The folder of a node, there as long as others can find it.
-    pub(super) fn node_folder(&self, node: &iceoryx2::identifiers::UniqueNodeId) -> PathBuf {
+    pub fn node_folder(&self, node: &iceoryx2::identifiers::UniqueNodeId) -> PathBuf {
         self.nodes().join(node.value().to_string())
     }
 }
@@ -372,11 +372,12 @@ fn is_named(name: &str, prefix: &str) -> bool {
 }
 
 /// The entries of a folder; none if it cannot be read.
-pub(super) fn entries(folder: &Path) -> impl Iterator<Item = DirEntry> + use<> {
+pub fn entries(folder: &Path) -> impl Iterator<Item = DirEntry> + use<> {
     fs::read_dir(folder).into_iter().flatten().flatten()
 }
 
-pub(super) fn name_of(entry: &DirEntry) -> String {
+/// The name of an entry; what of it is no text is replaced.
+pub fn name_of(entry: &DirEntry) -> String {
     entry.file_name().to_string_lossy().into_owned()
 }
 

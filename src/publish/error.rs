@@ -1,42 +1,9 @@
-//! Why shared memory cannot be had.
+//! Why sweeps cannot be shared.
 
 use std::fmt::Debug;
-use std::io;
 
-use super::domain::{DomainError, SHARED_MEMORY};
-
-/// Why a process cannot join a domain.
-#[derive(Debug, thiserror::Error)]
-pub enum JoinError {
-    /// The folder, or a file of another user's.
-    #[error(transparent)]
-    Domain(#[from] DomainError),
-    /// There is too little shared memory left: the first write to a page that is missing would end
-    /// the process.
-    #[error(
-        "{SHARED_MEMORY} has {free} bytes free and {wanted} are needed, {} more: make it larger (`mount -o remount,size=1G \
-         {SHARED_MEMORY}`, or --shm-size for a container), allow fewer consumers (max_consumers) or free some",
-        wanted.saturating_sub(*free)
-    )]
-    Memory {
-        /// Bytes that are needed.
-        wanted: u64,
-        /// Bytes that are free.
-        free: u64,
-    },
-    /// The system does not say how much there is, or gives none.
-    #[error("cannot take shared memory in {SHARED_MEMORY}: {_0}")]
-    MemoryUnknown(io::Error),
-    /// A file of shared memory is being made by another process, for at most a second.
-    #[error("another process is just making a file in {SHARED_MEMORY}: try again in a second")]
-    Pending,
-    /// iceoryx2 refuses.
-    #[error("shared memory: {what}")]
-    Service {
-        /// Its words.
-        what: String,
-    },
-}
+use sweepd_client::domain::DomainError;
+use sweepd_client::join::JoinError;
 
 /// Why sweeps cannot be shared.
 #[derive(Debug, thiserror::Error)]

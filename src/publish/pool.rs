@@ -14,12 +14,14 @@ use iceoryx2::prelude::*;
 use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+use sweepd_client::domain::Domain;
+use sweepd_client::join::JoinError;
+use sweepd_client::join::require_free;
+use sweepd_client::service::{Ipc, LOANED, OVERHEAD_BYTES, Preamble, Topic};
 
-use super::domain::Domain;
-use super::error::{JoinError, PublishError};
+use super::error::PublishError;
 use super::files::SharedFile;
-use super::node::require_free;
-use super::settings::{Ipc, LOANED, OVERHEAD_BYTES, Preamble, ServiceSettings, Topic};
+use super::settings::ServiceSettings;
 use super::status::{PublishStatus, lock};
 use super::sys;
 
@@ -64,7 +66,7 @@ impl Pool {
         let reserved_bytes = take_pages(&file).map_err(|error| match error.kind() {
             io::ErrorKind::StorageFull => JoinError::Memory {
                 wanted,
-                free: sys::free_bytes().unwrap_or(0),
+                free: sweepd_client::host::free_bytes().unwrap_or(0),
             },
             _ => JoinError::MemoryUnknown(error),
         })?;

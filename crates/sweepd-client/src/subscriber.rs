@@ -18,15 +18,15 @@ use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use iceoryx2::service::static_config::messaging_pattern::MessagingPattern as Details;
 
-use super::domain::{Domain, DomainError};
-use super::error::JoinError;
-use super::files::{FileState, ServiceFile};
-use super::node::node;
-use super::settings::{
-    BORROWED, Ipc, OVERHEAD_BYTES, Preamble, Topic, attributes, sensor_name, service_name,
+use sweepd_sweep::layout::{LAYOUT_VERSION, LayoutError};
+
+use crate::domain::{Domain, DomainError};
+use crate::join::{JoinError, node};
+use crate::service::{
+    BORROWED, FileState, Ipc, OVERHEAD_BYTES, Preamble, ServiceFile, Topic, attributes,
+    sensor_name, service_name,
 };
-use super::{leftovers, sys};
-use sweepd_core::sweep::layout::{LAYOUT_VERSION, LayoutError};
+use crate::{host, leftovers};
 
 /// Longest sleep: then the files of the service are checked.
 const LOOK_EVERY: Duration = Duration::from_millis(200);
@@ -157,11 +157,6 @@ pub struct Received {
 }
 
 impl Received {
-    /// The header in front of the bytes.
-    pub fn preamble(&self) -> &Preamble {
-        &self.preamble
-    }
-
     /// Whether the bytes are those of a sweep of this version's layout, as far as the preamble
     /// says.
     ///
@@ -228,7 +223,7 @@ impl Subscriber {
                 deadline.saturating_duration_since(Instant::now())
             });
             let Some(open) = &self.open else {
-                if rest.is_zero() || !sys::sleep(rest.min(SEEK_EVERY)) {
+                if rest.is_zero() || !host::sleep(rest.min(SEEK_EVERY)) {
                     return Ok(None);
                 }
                 continue;
@@ -260,14 +255,6 @@ impl Subscriber {
         }
     }
 
-    /// A sweep that is there already.
-    ///
-    /// # Errors
-    /// As [`Subscriber::wait`].
-    pub fn take(&mut self) -> Result<Option<Received>, SubscribeError> {
-        self.wait(Duration::ZERO)
-    }
-
     /// Whether the service was found; the daemon may still be gone.
     pub fn is_connected(&self) -> bool {
         self.open.is_some()
@@ -295,7 +282,7 @@ impl Subscriber {
         &self.domain
     }
 
-    /// The attribute of this name of the service, once it was found; see [`super::attributes`].
+    /// The attribute of this name of the service, once it was found; see [`crate::service::attributes`].
     pub fn attribute(&self, key: &str) -> Option<String> {
         let service = &self.open.as_ref()?.service;
         let key = AttributeKey::try_from(key).ok()?;

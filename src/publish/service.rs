@@ -12,18 +12,20 @@ use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
 use iceoryx2::service::builder::publish_subscribe::Builder;
 use iceoryx2::service::port_factory::event;
 use iceoryx2::service::port_factory::publish_subscribe;
-
-use super::domain::Domain;
-use super::error::{JoinError, PublishError};
-use super::files::{FileState, ServiceFile, SharedFile};
-use super::leftovers::{self, ABANDONED_AFTER};
-use super::node::node;
-use super::pool::Pool;
-use super::settings::{
-    BORROWED, Ipc, MORE_NODES, OVERHEAD_BYTES, PUBLISHERS, Preamble, ServiceSettings, Topic,
+use sweepd_client::domain::Domain;
+use sweepd_client::join::{JoinError, node};
+use sweepd_client::leftovers::ABANDONED_AFTER;
+use sweepd_client::service::{
+    BORROWED, FileState, Ipc, MORE_NODES, OVERHEAD_BYTES, PUBLISHERS, Preamble, ServiceFile, Topic,
     attribute, attributes, service_name,
 };
 use sweepd_core::sweep::layout::LAYOUT_VERSION;
+
+use super::error::PublishError;
+use super::files::SharedFile;
+use super::leftovers::{is_half_written, remove_remains};
+use super::pool::Pool;
+use super::settings::ServiceSettings;
 
 /// Attempts to open a service: files that block it are removed after each.
 const ATTEMPTS: usize = 3;
@@ -68,7 +70,7 @@ impl Service {
             })?;
         let claim = Claim::take(domain, &name, settings)?;
         if is_first {
-            leftovers::remove_remains(domain);
+            remove_remains(domain);
         }
         let node = node_when_possible(domain, pool_bytes.saturating_add(OVERHEAD_BYTES))?;
         if is_first {
@@ -262,8 +264,7 @@ fn open_whole(
 ) -> Result<OpenService, PublishError> {
     for pattern in PATTERNS {
         let path = domain.service_file(name, pattern);
-        let is_half_written =
-            std::fs::symlink_metadata(&path).is_ok_and(|it| leftovers::is_half_written(&it));
+        let is_half_written = std::fs::symlink_metadata(&path).is_ok_and(|it| is_half_written(&it));
         // iceoryx2 would wait a second for its maker, who is dead: this publisher has the claim.
         if is_half_written || lacks_list(name, domain, pattern) {
             let _ = std::fs::remove_file(path);
@@ -397,9 +398,9 @@ fn open_event(
 
 #[cfg(test)]
 mod tests {
-    use super::super::settings::Topic;
     use super::*;
-    use crate::client::{Client, ClientError, SubscribeError};
+    use sweepd_client::client::{Client, ClientError, SubscribeError};
+    use sweepd_client::service::Topic;
 
     /// A daemon of a version to come, and one of this, while a consumer of the first lives.
     #[test]
@@ -437,7 +438,7 @@ mod tests {
         drop(older);
         assert!(service.missing().is_none() && service.missing().is_none());
         drop((client, service, node));
-        for left in std::fs::read_dir(super::super::SHARED_MEMORY)
+        for left in std::fs::read_dir(sweepd_client::domain::SHARED_MEMORY)
             .unwrap()
             .flatten()
         {

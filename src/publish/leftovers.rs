@@ -1,45 +1,20 @@
-//! Files that a process left unfinished because it was killed while it made them.
+//! What processes that died left in a domain: services and nodes that were never completed, files of
+//! ports that are gone, lists of services that do not exist.
 //!
-//! iceoryx2 0.10 waits without a limit for a shared-memory file of length 0 to grow, and never
-//! removes a node that died before it was complete. So both are removed here, before iceoryx2 meets
-//! them.
-//!
-//! A file counts as abandoned after [`ABANDONED_AFTER`]: a living process finishes one within
-//! microseconds. One that was stopped for longer in just that moment finds its file gone, and fails
-//! or opens the service again.
+//! iceoryx2 0.10 never removes a node that died before it was complete. For the one process that
+//! looks after the domain; what every process removes is in [`sweepd_client::leftovers`].
 
 use std::fs::{self, DirEntry, Metadata};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime};
 
 use iceoryx2::prelude::*;
+use sweepd_client::domain::{Domain, entries, name_of};
+use sweepd_client::leftovers::{is_abandoned, remove, remove_if_abandoned};
+use sweepd_client::service::Ipc;
 
-use super::domain::{Domain, entries, name_of};
-use super::settings::Ipc;
-use crate::host::own_uid;
-
-/// Age from which an unfinished file has no maker any more.
-pub(super) const ABANDONED_AFTER: Duration = Duration::from_secs(1);
 const OWNER_READ: u32 = 0o400;
 const OWNER_WRITE: u32 = 0o200;
-
-/// Removes abandoned files of shared memory: those of length 0, and those that their owner may not
-/// read yet. Returns whether younger unfinished ones are left, which iceoryx2 must not meet.
-pub(super) fn remove_unfinished(domain: &Domain) -> bool {
-    let mut is_pending = false;
-    for entry in domain.shared_memory() {
-        // Its maker may just have removed it.
-        let Ok(metadata) = entry.metadata() else {
-            continue;
-        };
-        let is_unfinished = metadata.len() == 0 || metadata.mode() & OWNER_READ == 0;
-        if is_unfinished && metadata.uid() == own_uid() && metadata.is_file() {
-            is_pending |= !remove_if_abandoned(&entry, &metadata);
-        }
-    }
-    is_pending
-}
 
 /// Removes the files of services and nodes that were never completed, and of ports that are gone.
 /// For the one process that looks after the domain.
@@ -191,33 +166,4 @@ fn remove_nodes(domain: &Domain) {
             node.files.iter().for_each(remove);
         }
     }
-}
-
-/// Whether it is gone now.
-fn remove_if_abandoned(entry: &DirEntry, metadata: &Metadata) -> bool {
-    let is_abandoned = is_abandoned(metadata);
-    if is_abandoned {
-        remove(entry);
-    }
-    is_abandoned
-}
-
-fn is_abandoned(metadata: &Metadata) -> bool {
-    // The status changes with each step of its making. A time to come is that of a clock that was
-    // set back since.
-    let changed = SystemTime::UNIX_EPOCH + Duration::from_secs(metadata.ctime().max(0) as u64);
-    let changed = changed + Duration::from_nanos(metadata.ctime_nsec().max(0) as u64);
-    SystemTime::now()
-        .duration_since(changed)
-        .map_or(true, |age| age >= ABANDONED_AFTER)
-}
-
-fn remove(entry: &DirEntry) {
-    let path = entry.path();
-    // A file that another process has removed is fine too.
-    let _ = if path.is_dir() {
-        fs::remove_dir_all(path)
-    } else {
-        fs::remove_file(path)
-    };
 }

@@ -1,13 +1,29 @@
-//! Settings of a service: names, sizes, attributes, and the header of each sample.
+//! What the publisher of a service and its consumers agree on: names, sizes, attributes, the header
+//! of each sample, and the file by which a service is known.
+//!
+//! Each sensor has a service `sweepd/<name>/sweep`, and an event of the same name that fires after
+//! each sweep; and another pair for objects, `sweepd/<name>/objects`. The payload is `[u8]`, the
+//! bytes that [`crate::sweep::layout`] and [`crate::sweep::objects`] define; in front of it stands a
+//! [`Preamble`], whose alignment is also the payload's. The service's attributes are `schema`
+//! (version of the layout), `model` and `address`.
+//!
+//! A slow, stuck or crashed consumer delays no other process: each has its own queue of [`BUFFERED`]
+//! sweeps, of which the oldest is dropped, and may hold [`BORROWED`] more. The settings of iceoryx2
+//! were tested, since some of them fail silently; the reasons are beside them.
+
+use std::fs;
+use std::io;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
 
 use iceoryx2::prelude::*;
 use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
 
-use sweepd_core::sweep::layout::LAYOUT_VERSION;
+use sweepd_sweep::layout::LAYOUT_VERSION;
 
 /// The kind of service: its samples may be sent from thread to thread. Consumers with the plain
 /// `ipc` kind see the same.
-pub(super) type Ipc = iceoryx2::service::ipc_threadsafe::Service;
+pub type Ipc = iceoryx2::service::ipc_threadsafe::Service;
 
 /// Length of a consumer's queue of sweeps; the oldest is dropped for a newer one.
 pub const BUFFERED: usize = 2;
@@ -19,9 +35,9 @@ pub const HISTORY: usize = 1;
 pub const LOANED: usize = 2;
 /// Most publishers: the pool, the pool before it while its last sweep is filled, and a tunnel to
 /// another host.
-pub(super) const PUBLISHERS: usize = 3;
+pub const PUBLISHERS: usize = 3;
 /// Programs that may open a service besides its consumers: the daemon, tools, a tunnel.
-pub(super) const MORE_NODES: usize = 8;
+pub const MORE_NODES: usize = 8;
 
 /// Sweeps that the pool of one sensor has room for.
 pub const fn pool_sweeps(max_consumers: usize) -> usize {
@@ -37,10 +53,10 @@ const fn pool_messages(max_consumers: usize, buffered: usize, history: usize) ->
 /// What a service of a sensor carries.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Topic {
-    /// Sweeps: [`sweepd_core::sweep::layout`].
+    /// Sweeps: [`sweepd_sweep::layout`].
     #[default]
     Sweeps,
-    /// Objects while the head turns: [`sweepd_core::sweep::objects`].
+    /// Objects while the head turns: [`sweepd_sweep::objects`].
     Objects,
 }
 
@@ -55,7 +71,7 @@ impl Topic {
     }
 
     /// Messages that a consumer which comes late gets: objects of the past are of no use.
-    pub(super) const fn history(self) -> usize {
+    pub const fn history(self) -> usize {
         match self {
             Self::Sweeps => HISTORY,
             Self::Objects => 0,
@@ -88,7 +104,7 @@ impl Topic {
 #[repr(align(64))]
 #[type_name("sweepd.Preamble")]
 pub struct Preamble {
-    /// Version of the layout of what follows: [`sweepd_core::sweep::layout::LAYOUT_VERSION`].
+    /// Version of the layout of what follows: [`sweepd_sweep::layout::LAYOUT_VERSION`].
     pub layout_version: u32,
     _reserved: u32,
     /// Bytes of the sweep, which may be fewer than the payload's.
@@ -97,7 +113,7 @@ pub struct Preamble {
 
 impl Preamble {
     /// Of a sweep with this many bytes.
-    pub(super) fn of(sweep_bytes: usize) -> Self {
+    pub fn of(sweep_bytes: usize) -> Self {
         Self {
             layout_version: LAYOUT_VERSION,
             sweep_bytes: sweep_bytes as u64,
@@ -106,24 +122,8 @@ impl Preamble {
     }
 }
 
-const _: () = assert!(
-    size_of::<Preamble>() == 64 && align_of::<Preamble>() == sweepd_core::sweep::layout::ALIGN
-);
-
-/// What is shared under which name.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct ServiceSettings {
-    /// Name of the sensor.
-    pub name: String,
-    /// What it carries.
-    pub topic: Topic,
-    /// Consumers at most.
-    pub max_consumers: usize,
-    /// Model of the sensor, as far as known: an attribute for people and tools.
-    pub model: String,
-    /// Where its packets come from: another.
-    pub address: String,
-}
+const _: () =
+    assert!(size_of::<Preamble>() == 64 && align_of::<Preamble>() == sweepd_sweep::layout::ALIGN);
 
 /// Names of the attributes of a service.
 pub mod attributes {
@@ -150,7 +150,7 @@ pub fn is_sensor_name(text: &str) -> bool {
 }
 
 /// A service of a sensor.
-pub(super) fn service_name(sensor: &str, topic: Topic) -> Option<ServiceName> {
+pub fn service_name(sensor: &str, topic: Topic) -> Option<ServiceName> {
     let name = format!("sweepd/{sensor}/{}", topic.ending());
     (!sensor.is_empty())
         .then(|| name.as_str().try_into().ok())
@@ -158,11 +158,12 @@ pub(super) fn service_name(sensor: &str, topic: Topic) -> Option<ServiceName> {
 }
 
 /// The sensor of a service.
-pub(super) fn sensor_name(service: &str) -> Option<&str> {
+pub fn sensor_name(service: &str) -> Option<&str> {
     service.strip_prefix("sweepd/")?.strip_suffix("/sweep")
 }
 
-pub(super) fn attribute(key: &str, value: &str) -> Option<(AttributeKey, AttributeValue)> {
+/// An attribute of a service; `None` where iceoryx2 has no room for it.
+pub fn attribute(key: &str, value: &str) -> Option<(AttributeKey, AttributeValue)> {
     Some((
         AttributeKey::try_from(key).ok()?,
         AttributeValue::try_from(value).ok()?,
@@ -171,4 +172,62 @@ pub(super) fn attribute(key: &str, value: &str) -> Option<(AttributeKey, Attribu
 
 /// Shared memory that iceoryx2 needs for a process beside the pools: some files of a page each,
 /// with room to spare.
-pub(super) const OVERHEAD_BYTES: u64 = 256 * 1024;
+pub const OVERHEAD_BYTES: u64 = 256 * 1024;
+
+/// A service's file as it was when the service was opened. It names the service's own number, so
+/// that one that was made again is another, even under the same name.
+#[derive(Debug)]
+pub struct ServiceFile {
+    path: PathBuf,
+    content: Vec<u8>,
+}
+
+/// What became of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FileState {
+    /// It is there, unchanged.
+    Same,
+    /// It is not there.
+    Gone,
+    /// Another one has its name.
+    Replaced,
+}
+
+impl ServiceFile {
+    /// Reads it; `None` when it is not there.
+    pub fn read(path: &Path) -> Option<Self> {
+        let content = fs::read(path).ok()?;
+        Some(Self {
+            path: path.to_owned(),
+            content,
+        })
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// What became of it.
+    pub fn state(&self) -> FileState {
+        match fs::read(&self.path) {
+            Ok(content) if content == self.content => FileState::Same,
+            Ok(_) => FileState::Replaced,
+            Err(_) => FileState::Gone,
+        }
+    }
+
+    /// Puts it back under its name.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn restore(&self) -> io::Result<()> {
+        // Replaced atomically, for concurrent readers; with the permissions that iceoryx2 sets.
+        let beside = self.path.with_extension("restored");
+        // One that was killed here may have left it, closed to writing.
+        let _ = fs::remove_file(&beside);
+        fs::write(&beside, &self.content)?;
+        fs::set_permissions(&beside, fs::Permissions::from_mode(0o400))?;
+        fs::rename(beside, &self.path)
+    }
+}
