@@ -24,9 +24,9 @@ use sweepd::capture::{Capture, UdpConfig, UdpSource};
 use sweepd::client::{Client, Domain};
 use sweepd::sensor::model::Spec;
 use sweepd::sensor::{Model, ModelExt};
-use sweepd::simulate::{Emitter, EmitterConfig, fixtures};
 use sweepd::wire::DataPacket;
 use sweepd::wire::data::ReturnMode;
+use sweepd_lab::simulate::{Emitter, EmitterConfig, fixtures};
 
 /// Sweeps of each latency.
 const SWEEPS: u32 = 1000;

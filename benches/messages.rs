@@ -11,10 +11,10 @@ use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::messages::{Cloud, Layout, MessageHeader, Stamp, image, markers};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::Model;
-use sweepd::simulate::{Emitter, EmitterConfig, fixtures};
 use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::flags;
 use sweepd::wire::data::ReturnMode;
+use sweepd_lab::simulate::{Emitter, EmitterConfig, fixtures};
 
 fn main() {
     divan::main();

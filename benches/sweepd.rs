@@ -20,11 +20,11 @@ use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::capture::Capture;
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::{Calibration, Model, ModelExt};
-use sweepd::simulate::{Emitter, EmitterConfig, fixtures};
 use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::ReturnChoice;
 use sweepd::wire::DataPacket;
 use sweepd::wire::data::ReturnMode;
+use sweepd_lab::simulate::{Emitter, EmitterConfig, fixtures};
 
 fn main() {
     divan::main();

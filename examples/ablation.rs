@@ -16,10 +16,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use sweepd::buffers::HeapBuffer;
-use sweepd::cloud::{self, CloudProjector, CloudSegmenter};
-use sweepd::score::{Baseline, ScanScore, Truth};
 use sweepd::segment::{Config, Joining, Method, Segmenter};
 use sweepd::sweep::SweepMut;
+use sweepd_lab::cloud::{self, CloudProjector, CloudSegmenter};
+use sweepd_lab::score::{Baseline, ScanScore, Truth};
 
 use tables::{DECIMALS, HEADING, INSTANCE_POINTS, Scored, figures, instances};
 
@@ -191,7 +191,7 @@ impl Scan {
         if same {
             Ok(())
         } else {
-            Err("the labels are not those of sweepd::cloud::CloudSegmenter".into())
+            Err("the labels are not those of sweepd_lab::cloud::CloudSegmenter".into())
         }
     }
 }

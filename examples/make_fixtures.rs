@@ -10,8 +10,8 @@ use std::path::Path;
 
 use flate2::{Compression, GzBuilder};
 use sweepd::capture::write::{Addressed, PcapWriter};
-use sweepd::simulate::Scene;
-use sweepd::simulate::fixtures::{self, Counts, Fixture};
+use sweepd_lab::simulate::Scene;
+use sweepd_lab::simulate::fixtures::{self, Counts, Fixture};
 
 fn main() -> Result<()> {
     let folder = std::env::args()

@@ -9,10 +9,10 @@
 
 use std::collections::BTreeMap;
 
-use sweepd::cast::{
+use sweepd::sensor::Model;
+use sweepd_lab::cast::{
     Drawn, Kind, Scene, Sector, Sensor, Thing, island, kerb, ramp, small_box, step_down,
 };
-use sweepd::sensor::Model;
 
 /// Heights of the mount, metres.
 const HEIGHTS_M: [f64; 4] = [0.2, 0.4, 0.9, 1.8];

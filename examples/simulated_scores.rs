@@ -24,7 +24,7 @@ use std::ops::RangeInclusive;
 use simulated::Simulated;
 use sweepd::segment::{Config, Method};
 use sweepd::sensor::Model;
-use sweepd::simulate::Setting;
+use sweepd_lab::simulate::Setting;
 use tables::{DECIMALS, HEADING, INSTANCE_POINTS, Scored, figures, instances};
 
 const MODELS: [Model; 5] = [

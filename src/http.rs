@@ -16,13 +16,13 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 /// Time limit of a request and its answer.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(5);
+pub const PATIENCE: Duration = Duration::from_secs(5);
 /// Most bytes of a request; the least limit that hyper accepts.
 const REQUEST_BYTES: usize = 8192;
 
 /// Serves each connection for ever, at most this number at a time; more are closed at once. A
 /// connection counts until its permit is dropped.
-pub(crate) async fn accept<F>(
+pub async fn accept<F>(
     listener: &TcpListener,
     connections: usize,
     converse: impl Fn(TcpStream, OwnedSemaphorePermit) -> F,
@@ -44,7 +44,7 @@ where
 }
 
 /// A connection with these limits.
-pub(crate) fn connection() -> http1::Builder {
+pub fn connection() -> http1::Builder {
     let mut http = http1::Builder::new();
     http.timer(TokioTimer::new())
         .header_read_timeout(PATIENCE)
@@ -53,7 +53,7 @@ pub(crate) fn connection() -> http1::Builder {
 }
 
 /// The answer to a request that does not only read.
-pub(crate) fn refused_method<B>(request: &Request<B>) -> Option<Response<Full<Bytes>>> {
+pub fn refused_method<B>(request: &Request<B>) -> Option<Response<Full<Bytes>>> {
     if matches!(*request.method(), Method::GET | Method::HEAD) {
         return None;
     }
@@ -65,7 +65,7 @@ pub(crate) fn refused_method<B>(request: &Request<B>) -> Option<Response<Full<By
 }
 
 /// The IP address that a host is; `None` for a name.
-pub(crate) fn ip_of(authority: &Authority) -> Option<IpAddr> {
+pub fn ip_of(authority: &Authority) -> Option<IpAddr> {
     let host = authority.host();
     let bare = host
         .strip_prefix('[')
@@ -74,17 +74,17 @@ pub(crate) fn ip_of(authority: &Authority) -> Option<IpAddr> {
 }
 
 /// Whether a host is the name that DNS cannot redirect.
-pub(crate) fn is_localhost(authority: &Authority) -> bool {
+pub fn is_localhost(authority: &Authority) -> bool {
     authority.host().eq_ignore_ascii_case("localhost")
 }
 
 /// A line of text.
-pub(crate) fn text(status: StatusCode, text: &str) -> Response<Full<Bytes>> {
+pub fn text(status: StatusCode, text: &str) -> Response<Full<Bytes>> {
     response(status, "text/plain; charset=utf-8", format!("{text}\n"))
 }
 
 /// An answer that is not kept.
-pub(crate) fn response(
+pub fn response(
     status: StatusCode,
     kind: &'static str,
     body: impl Into<Bytes>,

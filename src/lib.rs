@@ -7,7 +7,7 @@
 //! ```
 //!
 //! Everything from [`wire::Datagram`] to the segments is pure: bytes and time come in as arguments.
-//! [`pipeline`] holds the whole algorithm on one page; a program pushes its datagrams through
+//! [`pipeline`] takes a sensor's packets and gives its sweeps; a program pushes its datagrams through
 //! it:
 //!
 //! ```
@@ -80,12 +80,12 @@ pub mod daemon;
 pub mod doctor;
 pub mod export;
 pub mod files;
-mod http;
+pub mod http;
 pub mod publish;
 pub mod sensor_settings;
 mod suggest;
-mod text;
-mod view;
+pub mod text;
+pub mod tool;
 pub mod web_interface;
 
 /// Version of this build, with the commit in a release build of a repository: `0.1.0 (6707b6746
@@ -94,6 +94,4 @@ pub const VERSION: &str = env!("SWEEPD_VERSION");
 
 pub use sweepd_client::{client, host};
 pub use sweepd_core::{assemble, buffers, pipeline, segment, sensor, sweep, wire};
-#[cfg(feature = "lab")]
-pub use sweepd_lab::{cast, cloud, score, simulate};
 pub use sweepd_messages as messages;

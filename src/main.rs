@@ -2,31 +2,27 @@
 
 #![forbid(unsafe_code)]
 
+use std::ffi::OsString;
 use std::process::ExitCode;
 
-use sweepd::cli::Command;
+use sweepd::cli::tools::Tool;
+use sweepd::cli::{self, Command};
 
 fn main() -> ExitCode {
-    let done = match sweepd::cli::parse().command {
-        Command::Run(args) => sweepd::cli::run::run(&args),
-        Command::Replay(args) => sweepd::cli::replay::run(&args),
-        Command::Record(args) => sweepd::cli::record::run(&args),
-        Command::Watch(args) => sweepd::cli::watch::run(&args),
-        Command::View(args) => sweepd::cli::view::run(&args),
-        Command::Doctor(args) => sweepd::cli::doctor::run(&args),
-        Command::Sensor(args) => sweepd::cli::sensor::run(&args),
-        Command::Inspect(args) => sweepd::cli::inspect::run(&args),
-        Command::Calib(args) => sweepd::cli::calib::run(&args),
-        Command::Config(args) => sweepd::cli::config::run(&args),
-        Command::Completions(args) => sweepd::cli::completions::run(&args),
-        #[cfg(feature = "lab")]
-        Command::Lab(command) => sweepd::cli::lab::run(&command),
-    };
-    match done {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            sweepd::cli::report(&error);
-            ExitCode::from(error.exit_code())
-        }
+    let words: Vec<OsString> = std::env::args_os().collect();
+    if let Some((tool, args)) = Tool::of(&words) {
+        return cli::exit(tool.run(&args).map(|never| match never {}));
     }
+    cli::exit(match cli::parse(&words).command {
+        Command::Run(args) => cli::run::run(&args),
+        Command::Replay(args) => cli::replay::run(&args),
+        Command::Record(args) => cli::record::run(&args),
+        Command::Watch(args) => cli::watch::run(&args),
+        Command::Doctor(args) => cli::doctor::run(&args),
+        Command::Sensor(args) => cli::sensor::run(&args),
+        Command::Inspect(args) => cli::inspect::run(&args),
+        Command::Calib(args) => cli::calib::run(&args),
+        Command::Config(args) => cli::config::run(&args),
+        Command::Completions(args) => cli::completions::run(&args),
+    })
 }

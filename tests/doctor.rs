@@ -20,8 +20,8 @@ use sweepd::doctor::plan::{ExaminedPort, ExpectedSensor};
 use sweepd::doctor::{Finding, Observations, Plan, Severity, Topic, diagnose, examine};
 use sweepd::sensor::Model;
 use sweepd::sensor_settings::{Rpm, Settings};
-use sweepd::simulate::{Emitter, EmitterConfig, fixtures};
 use sweepd::wire::data::ReturnMode::Strongest;
+use sweepd_lab::simulate::{Emitter, EmitterConfig, fixtures};
 
 const LOCAL: Ipv4Addr = Ipv4Addr::LOCALHOST;
 

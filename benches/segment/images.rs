@@ -9,15 +9,15 @@ use sweepd::admission::{DiscoveredSensors, Route};
 use sweepd::buffers::HeapBuffer;
 use sweepd::buffers::{Buffers, HeapBuffers, Memory};
 use sweepd::capture::Capture;
-use sweepd::cloud::{self, CloudProjector};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::{Beam, Model};
-use sweepd::simulate::shape::Ray;
-use sweepd::simulate::view::View;
-use sweepd::simulate::{Emitter, EmitterConfig, Setting, fixtures};
 use sweepd::sweep::layout::{flags, is_return};
 use sweepd::sweep::{Column, Shape, SweepMut, SweepRef};
 use sweepd::wire::data::ReturnMode;
+use sweepd_lab::cloud::{self, CloudProjector};
+use sweepd_lab::simulate::shape::Ray;
+use sweepd_lab::simulate::view::View;
+use sweepd_lab::simulate::{Emitter, EmitterConfig, Setting, fixtures};
 
 /// Height of the sensor over the ground in the images that are made here, metres.
 pub const HEIGHT_M: f32 = 1.9;

@@ -43,8 +43,8 @@ use std::hint::black_box;
 use std::time::{Duration, Instant};
 
 use fearless_simd::{Level, Simd};
-use sweepd::cloud::{self, CloudProjector};
 use sweepd::segment::{Config, Method, Mount, Segmenter, naive};
+use sweepd_lab::cloud::{self, CloudProjector};
 
 use self::clock::{Series, Stages, least, median, segment_sweep, staged, timed};
 use self::images::Image;

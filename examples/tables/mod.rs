@@ -1,6 +1,6 @@
 //! The figures that the tables of `docs/segmentation.md` show.
 
-use sweepd::score::{Group, ScanScore, Summary};
+use sweepd_lab::score::{Group, ScanScore, Summary};
 
 /// Fewest points of an instance that counts.
 pub const INSTANCE_POINTS: u32 = 20;

@@ -5,12 +5,14 @@ use std::io::{self, Write as _};
 use clap::CommandFactory as _;
 use clap_complete::Shell;
 
+use super::tools::with_installed;
 use super::{Cli, CliError};
 
 /// Options of `sweepd completions`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
-The Debian package installs those of bash, zsh and fish.
+The Debian packages install those of bash, zsh and fish. With the options of the tools that are \
+installed: view, simulate, segment, score.
 
 Example:
   sweepd completions bash > ~/.local/share/bash-completion/completions/sweepd")]
@@ -26,6 +28,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<(), CliError> {
     let mut script = Vec::new();
     // To memory: clap_complete panics where a pipe is closed.
-    clap_complete::generate(args.shell, &mut Cli::command(), "sweepd", &mut script);
+    let mut command = with_installed(Cli::command());
+    clap_complete::generate(args.shell, &mut command, "sweepd", &mut script);
     io::stdout().write_all(&script).map_err(CliError::Stdout)
 }

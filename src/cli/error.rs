@@ -104,7 +104,7 @@ impl CliError {
 
 /// Prints an error on standard error, with its cause if the message does not contain it. A closed
 /// pipe (`| head`) is not an error.
-pub fn report(error: &CliError) {
+pub(super) fn report(error: &CliError) {
     match error {
         CliError::Reported => {}
         // Its lines already begin with their severity.
@@ -117,6 +117,6 @@ pub fn report(error: &CliError) {
 }
 
 /// Prints a line on standard error. If that is closed, the message is lost.
-pub(super) fn complain(severity: &str, message: impl Display) {
+pub fn complain(severity: &str, message: impl Display) {
     let _ = writeln!(io::stderr(), "{severity}: {message}");
 }

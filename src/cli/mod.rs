@@ -10,10 +10,8 @@ pub mod doctor;
 mod error;
 pub mod inspect;
 pub mod jobs;
-#[cfg(feature = "lab")]
-pub mod lab;
 pub mod objects;
-mod options;
+pub mod options;
 pub mod output;
 pub mod play;
 pub mod publish;
@@ -25,16 +23,18 @@ pub mod sensor;
 pub mod signals;
 pub mod stream;
 pub mod tables;
-pub mod view;
+pub mod tools;
+pub mod tree;
 pub mod watch;
 
 use std::ffi::OsString;
+use std::process::ExitCode;
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
-use error::complain;
-pub use error::{CliError, report};
+use error::report;
+pub use error::{CliError, complain};
 
 /// Turns the packets of a spinning Velodyne into range images, cut into ground and numbered objects
 #[derive(Debug, Parser)]
@@ -59,8 +59,6 @@ pub enum Command {
     Record(record::Args),
     /// Watch the sweeps that a running daemon shares
     Watch(Box<watch::Args>),
-    /// Look at a capture, a simulation or a running sensor on a page in the browser
-    View(Box<view::Args>),
     /// Listen to the sensors, and print faults and how to fix them
     Doctor(doctor::Args),
     /// Show and set a sensor's own settings through its web interface: speed, returns, field of view
@@ -73,17 +71,15 @@ pub enum Command {
     Config(config::Args),
     /// Print the completions of a shell
     Completions(completions::Args),
-    /// What needs no sensor.
-    #[cfg(feature = "lab")]
-    #[command(flatten)]
-    Lab(lab::Command),
 }
 
-/// The command line of this process. A wrong one ends the process with an error and exit code 2.
-pub fn parse() -> Cli {
-    let words: Vec<OsString> = std::env::args_os().collect();
-    Cli::try_parse_from(&words).unwrap_or_else(|mut error| {
-        if let Some(tip) = tip(&error, &words) {
+/// The command that `words` name, the first of which is this program. Wrong ones end the process
+/// with an error and exit code 2.
+pub fn parse(words: &[OsString]) -> Cli {
+    let matches = tools::with_tools(Cli::command()).try_get_matches_from(words);
+    let parsed = matches.and_then(|matches| Cli::from_arg_matches(&matches));
+    parsed.unwrap_or_else(|mut error| {
+        if let Some(tip) = tip(&error, words) {
             error.insert(
                 ContextKind::Suggested,
                 ContextValue::StyledStrs(vec![tip.into()]),
@@ -91,6 +87,17 @@ pub fn parse() -> Cli {
         }
         error.exit()
     })
+}
+
+/// The end of a program: prints the error, if there is one, and gives the exit code.
+pub fn exit(done: Result<(), CliError>) -> ExitCode {
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            report(&error);
+            ExitCode::from(error.exit_code())
+        }
+    }
 }
 
 /// A suggestion for a word that clap does not expect.

@@ -19,7 +19,7 @@ use sweepd_core::sweep::layout::ReturnChoice;
 use sweepd_core::wire::{DATA_PORT, POSITION_PORT};
 
 /// A model, by its flag or its name.
-pub(super) fn model(text: &str) -> Result<Model, String> {
+pub fn model(text: &str) -> Result<Model, String> {
     text.parse().map_err(|error: UnknownModel| {
         match nearest(
             &text.to_ascii_lowercase(),
@@ -49,7 +49,7 @@ pub struct Listening {
 }
 
 /// Reads a number within `range`; the error names the range and the unit.
-pub(super) fn within(
+pub fn within(
     range: RangeInclusive<f64>,
     unit: &'static str,
 ) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {

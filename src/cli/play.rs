@@ -83,7 +83,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 }
 
 /// Where datagrams can be sent to.
-pub(super) fn destination(text: &str) -> Result<SocketAddr, String> {
+pub fn destination(text: &str) -> Result<SocketAddr, String> {
     match text.parse::<SocketAddr>() {
         Ok(to) if to.port() != 0 => Ok(to),
         _ => Err(

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use crate::counting::of_this_thread;
-use sweepd::cloud::{Cloud, CloudProjector, RowTable};
+use sweepd_lab::cloud::{Cloud, CloudProjector, RowTable};
 
 const FIRINGS: usize = 720;
 

@@ -24,10 +24,10 @@ use sweepd::pipeline::{Config, Pipeline};
 use sweepd::publish::{Loans, ServiceSettings};
 use sweepd::segment::Method;
 use sweepd::sensor::{Model, ModelExt};
-use sweepd::simulate::{Emitter, EmitterConfig, street};
 use sweepd::sweep::{Shape, SweepMut};
 use sweepd::wire::DataPacket;
 use sweepd::wire::data::ReturnMode;
+use sweepd_lab::simulate::{Emitter, EmitterConfig, street};
 
 /// Allocations during each sweep: from the first of its datagrams to the moment it is labelled and
 /// let go.

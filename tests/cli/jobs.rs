@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::common;
-use crate::{Folder, fixture, made, replay, sweepd};
+use crate::{Folder, fixture, made, replay};
 
 /// Standard output of a replay, and its files by their names: each return, each segment.
 fn outputs(capture: &Path, options: &[&str]) -> (String, Vec<(String, Vec<u8>)>) {
@@ -49,7 +49,7 @@ fn a_replay_with_several_jobs_gives_the_bytes_of_one() {
     exchanged.extend(second);
     let exchanged = folder.write("exchanged.pcap", made::pcap(&exchanged));
     let hdl64e = fixture("street_hdl64e_s3_dual.pcap.gz");
-    let calibration = folder.write("beams.xml", crate::from_cloud::calibration());
+    let calibration = folder.write("beams.xml", common::hdl64::calibration_yaml());
     let beams = ["--calibration", calibration.to_str().unwrap()];
     compare(&two, &[], 8);
     compare(&two, &["--height", "1.9", "--loop=2"], 16);
@@ -72,53 +72,10 @@ fn real_captures_with_several_jobs_give_the_bytes_of_one() {
 }
 
 #[test]
-fn clouds_with_several_jobs_have_the_labels_of_one() {
-    let folder = Folder::new("jobs-clouds");
-    let clouds: Vec<String> = (2..9)
-        .map(|rows| {
-            let cloud = crate::from_cloud::cloud_of_rows(0..rows * 8 - 1);
-            let path = folder.write(&format!("{rows}.bin"), cloud);
-            path.display().to_string()
-        })
-        .collect();
-    let clouds: Vec<&str> = clouds.iter().map(String::as_str).collect();
-    let with = |jobs: &str, clouds: &[&str]| {
-        let out = folder.path("out");
-        let options = ["--out", out.to_str().unwrap(), "--force", "--jobs", jobs];
-        sweepd(&[&["segment"], clouds, &options].concat())
-    };
-    let expected = with("1", &clouds).done();
-    let labels = folder.files("out");
-    assert_eq!(labels.len(), clouds.len());
-    for jobs in ["2", "3", "256"] {
-        assert_eq!(with(jobs, &clouds).done(), expected, "{jobs} jobs");
-        assert!(folder.files("out") == labels, "{jobs} jobs");
-    }
-    // One that cannot be read is the one error, and no cloud behind it is segmented.
-    let bad = folder.write("bad.bin", [0; 17]).display().to_string();
-    let with_bad = [&clouds[..3], &[&bad], &clouds[3..]].concat();
-    for jobs in ["1", "3"] {
-        std::fs::remove_dir_all(folder.path("out")).unwrap();
-        let ran = with(jobs, &with_bad);
-        ran.says(&["bad.bin", "17 bytes"]);
-        assert!(expected.starts_with(&ran.stdout), "{jobs} jobs");
-        assert_eq!(folder.files("out").len(), 3, "{jobs} jobs");
-    }
-}
-
-#[test]
 fn a_number_of_jobs_that_cannot_be_meant_is_one_error() {
     let capture = fixture("street_vlp16.pcap.gz");
     for jobs in ["0", "257", "-1", "two", "1.5"] {
         replay(&capture, &[&format!("--jobs={jobs}")]).says(&["--jobs <N>", jobs]);
-        sweepd(&[
-            "segment",
-            "a.bin",
-            "--out",
-            "out",
-            &format!("--jobs={jobs}"),
-        ])
-        .says(&["--jobs <N>", jobs]);
     }
 }
 

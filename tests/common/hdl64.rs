@@ -1,5 +1,6 @@
 //! Captures of an HDL-64E that sees nothing and tells its status.
 
+use std::fmt::Write as _;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
@@ -75,4 +76,26 @@ pub fn write_capture(
             .unwrap();
     }
     writer.finish().unwrap();
+}
+
+/// Elevations of the unit that made the scan, degrees, and of the one whose calibration there is.
+pub fn elevation_deg(row: usize, of_scan: bool) -> f64 {
+    2.0 - 0.42 * row as f64 + if of_scan { 0.3 } else { 0.0 }
+}
+
+/// The calibration of a unit.
+pub fn calibration_yaml() -> String {
+    let mut yaml = "num_lasers: 64\ndistance_resolution: 0.002\nlasers:\n".to_owned();
+    for row in 0..64 {
+        let (elevation, rotation) = (
+            elevation_deg(row, false).to_radians(),
+            0.05 * (row % 4) as f64 - 0.07,
+        );
+        let _ = writeln!(
+            yaml,
+            "- {{laser_id: {row}, vert_correction: {elevation}, rot_correction: {rotation}, dist_correction: 1.3, \
+             vert_offset_correction: 0.2}}"
+        );
+    }
+    yaml
 }

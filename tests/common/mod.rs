@@ -4,6 +4,7 @@
 #![allow(dead_code)]
 
 pub mod bags;
+pub mod command;
 pub mod due;
 pub mod hdl64;
 pub mod npy;
@@ -19,7 +20,8 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use sweepd_lab::testkit::{ReservedPort, TempDomain};
+use sweepd::cli::tools::TOOLS;
+use sweepd_lab::testkit::{ReservedPort, TempDomain, tool};
 
 const VELODYNE_DECODER: &str = "3.1.0";
 const ICEORYX2: &str = "0.10.0";
@@ -39,6 +41,32 @@ pub const HDL64E_UNITS: [&str; 9] = [
     "veloview_HDL-64.xml",
 ];
 
+/// The folder of the repository.
+pub fn root() -> &'static Path {
+    let package = Path::new(env!("CARGO_MANIFEST_DIR"));
+    match package.parent() {
+        Some(crates) if crates.ends_with("crates") => crates.parent().unwrap(),
+        _ => package,
+    }
+}
+
+/// The program `sweepd`.
+pub fn program() -> PathBuf {
+    option_env!("CARGO_BIN_EXE_sweepd").map_or_else(|| tool("sweepd"), PathBuf::from)
+}
+
+/// The program `sweepd` with these arguments, in the folder of the repository. A command that is a
+/// tool is refused where the tool is missing or stale.
+pub fn sweepd(args: &[&str]) -> Command {
+    let asked = TOOLS.iter().find(|one| args.first() == Some(&one.name));
+    if let Some(asked) = asked {
+        tool(asked.program);
+    }
+    let mut command = Command::new(program());
+    command.args(args).current_dir(root());
+    command
+}
+
 /// The folder with real captures and calibrations, which belong to others and stay outside the
 /// repository: `SWEEPD_DATA`, or `../shared/data` beside the project. A test that reads them is
 /// ignored where they are missing, by an attribute; see `build.rs`.
@@ -52,10 +80,8 @@ pub fn data_dir() -> PathBuf {
 
 /// The same, for tests that need it not.
 pub fn data_dir_if_any() -> Option<PathBuf> {
-    let dir = std::env::var_os("SWEEPD_DATA").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
-        PathBuf::from,
-    );
+    let dir = std::env::var_os("SWEEPD_DATA")
+        .map_or_else(|| root().join("../shared/data"), PathBuf::from);
     dir.join("pcap").is_dir().then_some(dir)
 }
 

@@ -97,12 +97,7 @@ impl Drop for Process {
     }
 }
 
-/// The binary with these arguments.
-pub fn sweepd(args: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_sweepd"));
-    command.args(args).current_dir(env!("CARGO_MANIFEST_DIR"));
-    command
-}
+pub use super::sweepd;
 
 /// A daemon's folder, ports and configuration.
 pub struct Setup {

@@ -1,14 +1,14 @@
 //! Sweeps of a simulated sensor, scored by what the simulator knows of every return.
 
 use sweepd::pipeline::Config;
-use sweepd::score::{ScanScore, Truth};
 use sweepd::segment;
 use sweepd::sensor::Model;
-use sweepd::simulate::{
-    Class, Emitter, EmitterConfig, PacketTruth, ReturnTruth, Setting, SimulatedDatagram,
-};
 use sweepd::sweep::layout::flags;
 use sweepd::wire::data::ReturnMode;
+use sweepd_lab::score::{ScanScore, Truth};
+use sweepd_lab::simulate::{
+    Class, Emitter, EmitterConfig, PacketTruth, ReturnTruth, Setting, SimulatedDatagram,
+};
 
 use super::run::{Placed, Run};
 

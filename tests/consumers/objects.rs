@@ -11,10 +11,10 @@ use sweepd::pipeline::{Config, Pipeline};
 use sweepd::publish::{Loans, Preamble, ServiceSettings, Topic};
 use sweepd::segment::objects::MAX_WIDTH_RAD;
 use sweepd::sensor::Model;
-use sweepd::simulate::{Emitter, EmitterConfig, fixtures};
 use sweepd::sweep::layout::{LAYOUT_VERSION, LayoutError, TimeSource};
 use sweepd::sweep::objects::{self, MESSAGE_BYTES, Object, ObjectsHeader, Sending, flags, why};
 use sweepd::wire::data::ReturnMode;
+use sweepd_lab::simulate::{Emitter, EmitterConfig, fixtures};
 use zerocopy::{FromBytes, FromZeros, IntoBytes};
 
 use super::folder;

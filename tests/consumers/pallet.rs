@@ -8,8 +8,8 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use sweepd::cast::{Scene, Sensor, Spin, Thing};
 use sweepd::sensor::Model;
+use sweepd_lab::cast::{Scene, Sensor, Spin, Thing};
 
 use super::common::python_with_iceoryx2;
 use super::common::setup::{SOON, Setup};

@@ -1,11 +1,11 @@
-//! `src/view/page/sweep.js` against the Rust types. What it makes of sweeps is seen in a browser:
+//! `crates/sweepd-tools/src/view/page/sweep.js` against the Rust types. What it makes of sweeps is seen in a browser:
 //! tests/view/browser.rs.
 
 use super::fields::{numbers_of_sweeps, structs_of_sweeps};
 use super::of_project;
 
 fn script() -> String {
-    std::fs::read_to_string(of_project("src/view/page/sweep.js")).unwrap()
+    std::fs::read_to_string(of_project("crates/sweepd-tools/src/view/page/sweep.js")).unwrap()
 }
 
 #[test]

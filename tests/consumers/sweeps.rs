@@ -6,10 +6,10 @@ use sweepd::buffers::{Buffers, HeapBuffers, Memory};
 use sweepd::capture::Capture;
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::Model;
-use sweepd::simulate::unit::unit;
 use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::flags;
 use sweepd::wire::data::ReturnMode;
+use sweepd_lab::simulate::unit::unit;
 
 use super::of_project;
 use super::stream::{Spin, config, datagram};

@@ -17,9 +17,9 @@ use sweepd::daemon::sharing::{Outgoing, SharedOutput, Sharing, SharingError, Sha
 use sweepd::pipeline;
 use sweepd::sensor::Model;
 use sweepd::sensor_settings::Settings;
-use sweepd::simulate::gps::{Clock, Reception};
-use sweepd::simulate::{Emitter, EmitterConfig, street};
 use sweepd::wire::data::ReturnMode;
+use sweepd_lab::simulate::gps::{Clock, Reception};
+use sweepd_lab::simulate::{Emitter, EmitterConfig, street};
 
 /// What happens to a thread that sends a sweep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -245,7 +245,7 @@ fn stream_by(model: Model, mode: ReturnMode, turns: f64, clock: Clock) -> Vec<Se
     let scene = street(1);
     let sent: Vec<_> = Emitter::new(config, &scene).untold().collect();
     let first_ns = sent[0].arrival_ns;
-    let of = |one: sweepd::simulate::SimulatedDatagram| Sent {
+    let of = |one: sweepd_lab::simulate::SimulatedDatagram| Sent {
         after: Duration::from_nanos((one.arrival_ns - first_ns).max(0) as u64),
         is_data: one.truth.is_some() || one.payload.len() == 1206,
         payload: one.payload,

@@ -7,11 +7,11 @@ use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::capture::write::Addressed;
 use sweepd::capture::{Capture, PcapWriter};
 use sweepd::sensor::{Model, ModelExt, ros_yaml};
-use sweepd::simulate::unit::unit;
 use sweepd::sweep::layout::Column;
 use sweepd::sweep::{Shape, SweepMut};
 use sweepd::wire::data::DATA_PACKET_LEN;
 use sweepd::wire::position::POSITION_PACKET_LEN;
+use sweepd_lab::simulate::unit::unit;
 
 use crate::common::bags::{self, mcap, ros1};
 

@@ -6,13 +6,13 @@ use std::fmt::Write;
 use std::path::Path;
 
 use crate::common::run::Runner;
-use sweepd::cloud::{COLUMNS, Cloud, CloudProjector, CloudSegmenter, Format, RowTable};
 use sweepd::export::{Axes, write_pcd};
 use sweepd::pipeline;
 use sweepd::segment::Config;
 use sweepd::sensor::{Model, ModelExt};
 use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::{LABEL_GROUND, LABEL_NONE};
+use sweepd_lab::cloud::{COLUMNS, Cloud, CloudProjector, CloudSegmenter, Format, RowTable};
 
 /// Firings of a VLP-16 in the turn of a fixture, 10 turns a second.
 const VLP16_COLUMNS: usize = 1808;

@@ -6,10 +6,10 @@ use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::pipeline::{Config, DarkBeam, Pipeline};
 use sweepd::segment::Mask;
 use sweepd::sensor::{Model, ModelExt};
-use sweepd::simulate::{Emitter, EmitterConfig, SimulatedDatagram, fixtures};
 use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::flags;
 use sweepd::wire::data::{DataPacket, ReturnMode};
+use sweepd_lab::simulate::{Emitter, EmitterConfig, SimulatedDatagram, fixtures};
 use sweepd_lab::testkit::stream::{self, Sent, Spin};
 
 use crate::common::data_dir;

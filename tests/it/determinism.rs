@@ -11,11 +11,11 @@ use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::pipeline::{Config, Pipeline, TimedSegmenter};
 use sweepd::segment::Segmenter;
 use sweepd::sensor::Model::{Hdl32e, Hdl64eS2, Hdl64eS3, Vlp16, Vlp32c, Vls128};
-use sweepd::simulate::gps::{Clock, Reception};
-use sweepd::simulate::{Emitter, EmitterConfig, Rates, SimulatedDatagram, deliver, fixtures};
 use sweepd::sweep::layout::flags::HEIGHT_ESTIMATED;
 use sweepd::sweep::{SweepMut, SweepRef};
 use sweepd::wire::data::ReturnMode::{Dual, Strongest};
+use sweepd_lab::simulate::gps::{Clock, Reception};
+use sweepd_lab::simulate::{Emitter, EmitterConfig, Rates, SimulatedDatagram, deliver, fixtures};
 
 /// What a sensor sent, with losses, copies and packets out of order, and the sweeps that it gave.
 struct Stream {

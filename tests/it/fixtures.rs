@@ -6,7 +6,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use flate2::read::GzDecoder;
-use sweepd::simulate::fixtures::{self, Counts};
+use sweepd_lab::simulate::fixtures::{self, Counts};
 
 fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("pcap_fixtures")

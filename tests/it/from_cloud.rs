@@ -6,16 +6,16 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 
 use crate::common::run::Runner;
-use sweepd::cloud::{self, COLUMNS, CloudSegmenter};
 use sweepd::files;
 use sweepd::pipeline::Config;
 use sweepd::segment;
 use sweepd::sensor::{Beam, Calibration, Model};
-use sweepd::simulate::cloud::{Options, Sender, Sending, Turn};
-use sweepd::simulate::gps::Clock;
 use sweepd::sweep::layout::{LABEL_GROUND, flags};
 use sweepd::sweep::{Return, SweepRef};
 use sweepd::wire::data::RECORDS;
+use sweepd_lab::cloud::{self, COLUMNS, CloudSegmenter};
+use sweepd_lab::simulate::cloud::{Options, Sender, Sending, Turn};
+use sweepd_lab::simulate::gps::Clock;
 
 const SENDING: Sending = Sending {
     seconds: None,

@@ -9,13 +9,13 @@ use sweepd::cure;
 use sweepd::files;
 use sweepd::pipeline::{Config, Fault, Notice};
 use sweepd::sensor::{Calibration, Model, ModelExt};
-use sweepd::simulate::optics::Optics;
-use sweepd::simulate::scene::Surface;
-use sweepd::simulate::shape::{Shape, Vec3};
-use sweepd::simulate::{Class, Emitter, EmitterConfig, Scene, SimulatedDatagram};
 use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::flags;
 use sweepd::wire::data::ReturnMode;
+use sweepd_lab::simulate::optics::Optics;
+use sweepd_lab::simulate::scene::Surface;
+use sweepd_lab::simulate::shape::{Shape, Vec3};
+use sweepd_lab::simulate::{Class, Emitter, EmitterConfig, Scene, SimulatedDatagram};
 
 /// The real units, if they are there, with the name of each.
 fn units() -> Vec<(&'static str, Calibration)> {

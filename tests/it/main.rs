@@ -23,7 +23,6 @@ mod obstacles;
 mod pains;
 mod paper;
 mod promises;
-mod score;
 mod segment;
 mod share;
 mod simulated_scores;

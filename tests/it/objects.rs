@@ -11,11 +11,11 @@ use sweepd::capture::Capture;
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::segment::objects::MAX_WIDTH_RAD;
 use sweepd::sensor::Model::{self, Hdl32e, Hdl64eS2, Hdl64eS3, Vlp16, Vlp32c, Vls128};
-use sweepd::simulate::{Emitter, EmitterConfig, Rates, deliver, fixtures};
 use sweepd::sweep::SweepRef;
 use sweepd::sweep::objects::why;
 use sweepd::wire::Datagram;
 use sweepd::wire::data::ReturnMode::Strongest;
+use sweepd_lab::simulate::{Emitter, EmitterConfig, Rates, deliver, fixtures};
 use sweepd_lab::testkit::stream::push;
 
 /// A pipeline that tells objects, and its listener.

@@ -1,7 +1,7 @@
 //! Which obstacles are seen, and what of a floor is taken for one, by scenes that are ray-cast apart
 //! from the simulator; `examples/obstacles.rs` prints more of them.
 
-use sweepd::cast::{Drawn, Scene, Sector, Sensor, kerb, ramp, step_down};
+use sweepd_lab::cast::{Drawn, Scene, Sector, Sensor, kerb, ramp, step_down};
 
 /// Boxes that are drawn: more than half of them are struck well enough to count.
 const DRAWN: u64 = 250;

@@ -4,10 +4,10 @@
 use crate::common;
 use fearless_simd::Level;
 use sweepd::buffers::{Buffers, HeapBuffers};
-use sweepd::cloud::{COLUMNS, CloudProjector, points};
 use sweepd::segment::{Config, Method, Segmenter};
 use sweepd::sweep::layout::LABEL_FIRST_SEGMENT;
 use sweepd::sweep::{Segment, Shape, SweepMut, SweepRef};
+use sweepd_lab::cloud::{COLUMNS, CloudProjector, points};
 use zerocopy::IntoBytes;
 
 const SCANS: [&str; 2] = ["00/000000", "08/000009"];

@@ -8,7 +8,6 @@ use std::f32::consts::TAU;
 use proptest::prelude::*;
 use sweepd::assemble::lanes::levels;
 use sweepd::buffers::{Buffers, HeapBuffers};
-use sweepd::cloud::{COLUMNS, CloudProjector, CloudSegmenter, points};
 use sweepd::segment::objects::Objects;
 use sweepd::segment::points::placed;
 use sweepd::segment::{Config, ConfigError, Joining, Mask, Method, Mount, Segmenter, naive};
@@ -16,6 +15,7 @@ use sweepd::sensor::Beam;
 use sweepd::sensor::calibration::TwoPoint;
 use sweepd::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, flags, is_return};
 use sweepd::sweep::{Column, Shape, SweepMut, SweepRef};
+use sweepd_lab::cloud::{COLUMNS, CloudProjector, CloudSegmenter, points};
 use zerocopy::IntoBytes;
 
 /// A random scene and the sensor that sees it, drawn from a seed.

@@ -14,10 +14,10 @@ use sweepd::pipeline::{Config, Pipeline};
 use sweepd::publish::{Domain, Loans, PublishError, ServiceSettings, Slot, Topic, pool_sweeps};
 use sweepd::segment::objects::MAX_WIDTH_RAD;
 use sweepd::sensor::Model;
-use sweepd::simulate::{Emitter, EmitterConfig, fixtures};
 use sweepd::sweep::objects::{self, MESSAGE_BYTES, Object, Sending, flags};
 use sweepd::sweep::{Shape, SweepMut, SweepRef};
 use sweepd::wire::data::ReturnMode;
+use sweepd_lab::simulate::{Emitter, EmitterConfig, fixtures};
 use sweepd_lab::testkit::TempDomain;
 use sweepd_lab::testkit::stream::{Sent, Spin, config, datagram, unit};
 

@@ -2,10 +2,10 @@
 //! simulator knows.
 
 use crate::common::simulated::Simulated;
-use sweepd::score::{InstanceCounts, ScanScore};
 use sweepd::segment::{Config, Method};
 use sweepd::sensor::Model;
-use sweepd::simulate::Setting;
+use sweepd_lab::score::{InstanceCounts, ScanScore};
+use sweepd_lab::simulate::Setting;
 
 /// Fewest points of an instance that counts.
 const INSTANCE_POINTS: u32 = 20;

@@ -7,10 +7,10 @@ use crate::common::raw::{self, RawPacket};
 use crate::common::run::{Run, Runner};
 use sweepd::pipeline::{Config, Fault};
 use sweepd::sensor::{Model, ModelExt};
-use sweepd::simulate::{Emitter, EmitterConfig, SimulatedDatagram, fixtures};
 use sweepd::sweep::layout::{TimeSource, flags};
 use sweepd::sweep::{Column, SweepRef};
 use sweepd::wire::data::ReturnMode;
+use sweepd_lab::simulate::{Emitter, EmitterConfig, SimulatedDatagram, fixtures};
 
 /// Every capture of a supported model, and the speed of its head, turns a minute.
 const CAPTURES: [(&str, Model, f64); 8] = [

@@ -7,12 +7,14 @@ use std::path::Path;
 use crate::common::run::{AT_FAR_M, Placed, Run, range_m, walk_ns};
 use sweepd::pipeline::Config;
 use sweepd::sensor::{Model, ModelExt};
-use sweepd::simulate::fixtures::{self, Fixture};
-use sweepd::simulate::gps::{Clock, Reception};
-use sweepd::simulate::shape::Vec3;
-use sweepd::simulate::{Class, EmitterConfig, Faults, PacketTruth, ReturnTruth, SimulatedDatagram};
 use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, TimeSource, flags};
+use sweepd_lab::simulate::fixtures::{self, Fixture};
+use sweepd_lab::simulate::gps::{Clock, Reception};
+use sweepd_lab::simulate::shape::Vec3;
+use sweepd_lab::simulate::{
+    Class, EmitterConfig, Faults, PacketTruth, ReturnTruth, SimulatedDatagram,
+};
 
 const HOUR_NS: i64 = 3_600_000_000_000;
 

@@ -7,12 +7,12 @@ use crate::common::run::{Placed, Run};
 use crate::common::same::same;
 use std::ops::RangeInclusive;
 use sweepd::sensor::{Model, ModelExt};
-use sweepd::simulate::gps::Clock;
-use sweepd::simulate::{
-    ClockStep, Emitter, EmitterConfig, Faults, FieldOfView, SimulatedDatagram, deliver, fixtures,
-};
 use sweepd::sweep::layout::flags::LOSS_ESTIMATED;
 use sweepd::wire::data::ReturnMode;
+use sweepd_lab::simulate::gps::Clock;
+use sweepd_lab::simulate::{
+    ClockStep, Emitter, EmitterConfig, Faults, FieldOfView, SimulatedDatagram, deliver, fixtures,
+};
 
 const VLP32C: &str = "vlp32c_nebula-fov180-a";
 const VLS128: &str = "vls128_nebula-a";

@@ -8,13 +8,13 @@ use std::time::{Duration, Instant};
 use sweepd::client::{Object, Objects};
 use sweepd::host::realtime_ns;
 use sweepd::sensor::{Model, ros_yaml};
-use sweepd::simulate::gps::Clock;
-use sweepd::simulate::props::{GroundPose, person};
-use sweepd::simulate::shape::Vec3;
-use sweepd::simulate::{Class, Emitter, EmitterConfig, Scene};
 use sweepd::sweep::Segment;
 use sweepd::sweep::objects::{flags, why};
 use sweepd::wire::data::ReturnMode;
+use sweepd_lab::simulate::gps::Clock;
+use sweepd_lab::simulate::props::{GroundPose, person};
+use sweepd_lab::simulate::shape::Vec3;
+use sweepd_lab::simulate::{Class, Emitter, EmitterConfig, Scene};
 
 use crate::setup::{SOON, Setup};
 

@@ -1,4 +1,4 @@
-//! The whole algorithm on one page: packets of one sensor in, labelled sweeps out.
+//! The steps of the algorithm in their order: packets of one sensor in, labelled sweeps out.
 //!
 //! Pure: bytes and time come in as arguments. Live, replay and tests push the same packets
 //! through here, so the same bytes give the same sweeps.

@@ -1,26 +1,27 @@
-//! Writes the manual pages and shell completions of both programs into a folder. A program of its
-//! own, so that a robot's build has none of it.
+//! Writes the manual pages and shell completions of all programs, a folder for each package. A program
+//! of its own, so that a robot's build has none of it.
 
 #![forbid(unsafe_code)]
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::{fs, io};
 
 use clap::{Command, CommandFactory as _, Parser};
 use clap_complete::Shell;
+use sweepd_tools::commands;
 
-/// Writes the manual pages and shell completions of sweepd and sweepd-ros2
+/// Writes the manual pages and shell completions of sweepd, its tools and sweepd-ros2
 #[derive(Parser)]
 #[command(version)]
 struct Args {
-    /// Folder for the files; it is made where there is none
+    /// Folder for the folders of the packages; it is made where there is none
     folder: PathBuf,
 }
 
 fn main() -> ExitCode {
     let args = Args::parse();
-    match write(&args) {
+    match write(&args.folder) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("sweepd-manual: {}: {error}", args.folder.display());
@@ -29,18 +30,30 @@ fn main() -> ExitCode {
     }
 }
 
-fn write(args: &Args) -> io::Result<()> {
-    fs::create_dir_all(&args.folder)?;
-    for mut command in [
-        sweepd::cli::Cli::command(),
+fn write(folder: &Path) -> io::Result<()> {
+    let driver = folder.join("sweepd");
+    write_command(commands::all(), &driver)?;
+    write_command(
         sweepd_ros2::args::Args::command(),
-    ] {
-        let pages = without_help(command.clone());
-        clap_mangen::generate_to(pages.version(env!("CARGO_PKG_VERSION")), &args.folder)?;
-        let name = command.get_name().to_owned();
-        for shell in [Shell::Bash, Shell::Zsh, Shell::Fish] {
-            clap_complete::generate_to(shell, &mut command, &name, &args.folder)?;
-        }
+        &folder.join("sweepd-ros2"),
+    )?;
+    // The pages of commands that are tools belong to the package of the tools.
+    let tools = folder.join("sweepd-tools");
+    fs::create_dir_all(&tools)?;
+    for name in commands::names() {
+        let page = format!("sweepd-{name}.1");
+        fs::rename(driver.join(&page), tools.join(&page))?;
+    }
+    Ok(())
+}
+
+fn write_command(mut command: Command, folder: &Path) -> io::Result<()> {
+    fs::create_dir_all(folder)?;
+    let pages = without_help(command.clone());
+    clap_mangen::generate_to(pages.version(env!("CARGO_PKG_VERSION")), folder)?;
+    let name = command.get_name().to_owned();
+    for shell in [Shell::Bash, Shell::Zsh, Shell::Fish] {
+        clap_complete::generate_to(shell, &mut command, &name, folder)?;
     }
     Ok(())
 }

@@ -43,7 +43,6 @@ impl Canvas {
     }
 
     /// The pixels, row after row, three bytes each.
-    #[cfg(test)]
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }

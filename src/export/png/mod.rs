@@ -6,10 +6,10 @@
 //! `numbers` names segments, `palette` gives a colour one meaning on the whole page, `canvas` holds
 //! the pixels.
 
-pub(crate) mod canvas;
+pub mod canvas;
 mod legend;
 mod numbers;
-pub(crate) mod palette;
+pub mod palette;
 mod plan;
 mod raster;
 mod strip;

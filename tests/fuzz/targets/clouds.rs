@@ -1,8 +1,8 @@
 //! Files of points, and of labels for them.
 
-use sweepd::cloud::{Cloud, CloudSegmenter, Format, RowTable};
-use sweepd::score::{Baseline, ScanScore, Truth};
 use sweepd::segment::Config;
+use sweepd_lab::cloud::{Cloud, CloudSegmenter, Format, RowTable};
+use sweepd_lab::score::{Baseline, ScanScore, Truth};
 
 use super::Numbers;
 

@@ -5,12 +5,12 @@ use sweepd::sensor::compare::differences;
 use sweepd::sensor::detect::Detector;
 use sweepd::sensor::unit::Unit;
 use sweepd::sensor::{Model, stream};
-use sweepd::simulate::unit::unit;
 use sweepd::wire::DataPacket;
 use sweepd::wire::data::{BLOCKS, DATA_PACKET_LEN, RECORDS, ReturnMode};
 use sweepd::wire::hdl64::{Clock, Dump, Gps, Live, Series, Status, Warnings, pair};
 use sweepd::wire::nmea::Rmc;
 use sweepd::wire::position::Position;
+use sweepd_lab::simulate::unit::unit;
 
 use super::Numbers;
 

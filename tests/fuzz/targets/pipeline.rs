@@ -7,13 +7,13 @@ use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::model::Stamp;
 use sweepd::sensor::{Calibration, Model, ModelExt, stream};
-use sweepd::simulate::unit::unit;
 use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::{COLUMNS_CAPACITY, LABEL_FIRST_SEGMENT, ReturnChoice};
 use sweepd::wire::data::{BLOCKS, DATA_PACKET_LEN, ReturnMode};
 use sweepd::wire::hdl64::{Clock, Dump, Gps, Live, Series, pair};
 use sweepd::wire::position::POSITION_PACKET_LEN;
 use sweepd::wire::{DataPacket, Datagram};
+use sweepd_lab::simulate::unit::unit;
 
 use super::Numbers;
 

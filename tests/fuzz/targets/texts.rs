@@ -3,12 +3,12 @@
 
 use std::path::Path;
 
-use sweepd::cloud::RowTable;
 use sweepd::daemon::config::{Config, ConfigError, memory};
 use sweepd::segment::MAX_ROWS;
 use sweepd::sensor::read::MAX_FILE_LEN;
 use sweepd::sensor::{Calibration, CalibrationError, Model, db_xml, ros_yaml, stream};
 use sweepd::web_interface::Page;
+use sweepd_lab::cloud::RowTable;
 
 /// A db.xml.
 pub fn db_xml(input: &[u8]) {

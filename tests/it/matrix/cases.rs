@@ -1,10 +1,10 @@
 //! The rows: which faults there are, at which rates, and what each promises.
 
 use sweepd::sensor::Model::{self, Hdl32e, Hdl64eS2, Vlp16, Vls128};
-use sweepd::simulate::gps::{Clock, Reception};
-use sweepd::simulate::{ClockStep, EmitterConfig, Motor, PacketPart, Rates};
 use sweepd::sweep::layout::flags::{BLANKED, RATE_UNSTABLE, REVERSED, STOPPED};
 use sweepd::wire::data::ReturnMode::{Dual, Strongest};
+use sweepd_lab::simulate::gps::{Clock, Reception};
+use sweepd_lab::simulate::{ClockStep, EmitterConfig, Motor, PacketPart, Rates};
 
 use super::stream::{FAULT_NS, Kind, MS, Made, Promise, Stock, Told};
 
@@ -246,7 +246,7 @@ fn status(stock: &Stock, corrupt: f64) -> Made {
     .plan(3, 4_000);
     faults.corrupted.retain(|&(one, _)| one > 50);
     let injected = faults.corrupted.len() as u64;
-    let sent = sweepd::simulate::deliver(sent.into_iter(), faults.clone()).collect();
+    let sent = sweepd_lab::simulate::deliver(sent.into_iter(), faults.clone()).collect();
     let period_ns = i64::from(config.spec.packet_period_ns(config.return_mode));
     // At the latest the next dump is whole.
     let fault_ns = [0, 2 * 4_160 * period_ns];

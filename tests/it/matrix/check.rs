@@ -6,9 +6,9 @@ use std::f64::consts::{PI, TAU};
 use sweepd::admission::{DiscoveredSensors, Refusal, Refused, Route};
 use sweepd::pipeline::{Config, Counts, Notice};
 use sweepd::sensor::{Model, ModelExt};
-use sweepd::simulate::{Damage, PacketPart, PacketTruth};
 use sweepd::sweep::layout::flags::*;
 use sweepd::sweep::{Column, SweepRef};
+use sweepd_lab::simulate::{Damage, PacketPart, PacketTruth};
 
 use super::stream::{Made, Promise, Told};
 use super::table::Row;

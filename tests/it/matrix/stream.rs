@@ -3,11 +3,11 @@
 use sweepd::sensor::Model::{
     self, Hdl32e, Hdl64eS2, Hdl64eS3, PuckHiRes, PuckLite, Vlp16, Vlp32c, Vls128,
 };
-use sweepd::simulate::{
+use sweepd::wire::data::ReturnMode::{self, Dual, Strongest};
+use sweepd_lab::simulate::{
     Emitter, EmitterConfig, Faults, FieldOfView, Motor, Rates, Scene, SimulatedDatagram,
     SpeedChange, deliver, fixtures,
 };
-use sweepd::wire::data::ReturnMode::{self, Dual, Strongest};
 
 pub const MS: i64 = 1_000_000;
 /// How long a stream is, turns at 600 a minute; when faults begin, and the latest time at which
@@ -331,7 +331,7 @@ fn config(kind: Kind) -> EmitterConfig {
     let mut config = EmitterConfig::new(kind.model, kind.mode);
     config.optics.noise_m = 0.0;
     config.encoder.start_deg = 300.0;
-    config.clock = sweepd::simulate::gps::Clock::Free {
+    config.clock = sweepd_lab::simulate::gps::Clock::Free {
         hour_ns: 1_000_000 * MS,
     };
     config.turns(TURNS)

@@ -1,4 +1,4 @@
-//! Shared by the tests and `sweepd-soak`: a temporary domain, reserved ports, a daemon in a process
+//! Shared by the tests and `sweepd-lab soak`: a temporary domain, reserved ports, a daemon in a process
 //! of its own, and packet streams made by hand.
 
 pub mod daemon;
@@ -6,6 +6,7 @@ pub mod domain;
 pub mod port;
 pub mod process;
 pub mod stream;
+pub mod tool;
 
 use std::fmt::{self, Debug, Display, Formatter};
 
@@ -14,6 +15,7 @@ pub use domain::TempDomain;
 pub use port::ReservedPort;
 pub use process::{PATIENCE, Process};
 pub use rustix::process::Signal;
+pub use tool::tool;
 
 /// A failure, as a sentence for the person who runs the tests.
 #[derive(Clone, PartialEq, Eq, thiserror::Error)]

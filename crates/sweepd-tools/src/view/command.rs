@@ -1,0 +1,216 @@
+//! `sweepd view`: a page in the browser.
+
+use std::io::{self, Write};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::Arc;
+
+use sweepd::cli::CliError;
+use sweepd::cli::options::{SegmentOptions, SensorOptions, model, pipeline_config};
+use sweepd::cli::publish::RootOptions;
+use sweepd::publish::is_sensor_name;
+use sweepd_core::pipeline;
+use sweepd_core::sensor::Model;
+
+use super::source::reader::{Origin, Recipe};
+use super::source::simulation::Simulation;
+use super::{Source, serve};
+
+/// Where the page is by default.
+const LISTEN: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 9178);
+
+/// Options of `sweepd view`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+The page shows the points, the range image, the labels and the segments, plays and pauses a capture, \
+and tries other options of the segmentation. It is a consumer of its own: the daemon serves no page, \
+and nothing that a browser does can slow a sensor.
+
+Examples:
+  sweepd view pcap_fixtures/street_vlp16.pcap.gz
+  sweepd view --simulate hdl32e
+  sweepd view roof
+  ssh -t -L 9178:localhost:9178 ROBOT sweepd view --no-open")]
+pub struct Args {
+    /// A capture, as of `sweepd replay`, or the name of a sensor of the running daemon [default: the
+    /// only sensor; of several, the page lists them]
+    #[arg(value_name = "SOURCE")]
+    source: Option<PathBuf>,
+    /// A simulated sensor of this model on a street, instead of a SOURCE
+    #[arg(long, value_name = "MODEL", value_parser = model, conflicts_with = "source")]
+    simulate: Option<Model>,
+    /// Where to serve the page; port 0 takes a free one
+    #[arg(long, value_name = "IP:PORT", default_value_t = LISTEN)]
+    listen: SocketAddr,
+    /// Allow --listen at an address that others can reach. There is no password and no encryption:
+    /// everyone in that network can see what the sensor sees, and play, pause, seek and choose what
+    /// all pages show
+    #[arg(long)]
+    public: bool,
+    /// Do not open the browser
+    #[arg(long)]
+    no_open: bool,
+    /// At the end of a capture, begin again; a simulation always does
+    #[arg(long = "loop")]
+    is_endless: bool,
+    #[command(flatten)]
+    sensor: SensorOptions,
+    #[command(flatten)]
+    segment: SegmentOptions,
+    #[command(flatten)]
+    root: RootOptions,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`CliError`]: there is no such source, or the page cannot be served.
+pub fn run(args: &Args) -> Result<(), CliError> {
+    let config = pipeline_config(&args.sensor, &args.segment)?;
+    let segment = config.segment.clone();
+    let of_capture = args.is_endless
+        || !args.sensor.sensor.is_empty()
+        || config
+            != pipeline::Config {
+                segment: segment.clone(),
+                ..pipeline::Config::default()
+            };
+    let recipe = |origin| {
+        Box::new(Recipe {
+            origin,
+            config,
+            filters: args.sensor.sensor.clone(),
+        })
+    };
+    let source = match args.source.as_deref() {
+        None if let Some(model) = args.simulate => {
+            let simulation = Simulation::new(model, sweepd_lab::simulate::Setting::Street);
+            Source::Capture {
+                recipe: recipe(Origin::Simulation(Arc::new(simulation))),
+                is_endless: true,
+            }
+        }
+        Some(path) if !args.is_sensor(path)? => Source::Capture {
+            recipe: recipe(Origin::Capture(path.to_owned())),
+            is_endless: args.is_endless,
+        },
+        _ if of_capture => {
+            let message = "a sensor's sweeps are shared decoded: --loop, --model, --calibration, --sensor, --cut-azimuth, --return \
+                 and --gps-without-pps are for captures; leave them out, and set them in the daemon's configuration";
+            return Err(CliError::Usage(message.to_owned()));
+        }
+        named => Source::Sensor {
+            domain: args.root.domain(),
+            name: named.and_then(Path::to_str).map(str::to_owned),
+        },
+    };
+    let listener = args.bind()?;
+    let address = listener
+        .local_addr()
+        .map_err(|source| args.cannot_listen(&source))?;
+    serve(source, segment, listener, address, || {
+        args.announce(address)
+    })
+}
+
+impl Args {
+    /// Whether a source is the name of a sensor, and no file.
+    fn is_sensor(&self, source: &Path) -> Result<bool, CliError> {
+        if source == Path::new("-") {
+            let message =
+                "standard input cannot be played again and again: give the path of a file";
+            return Err(CliError::Usage(message.to_owned()));
+        }
+        if source.exists() {
+            return Ok(false);
+        }
+        let name = source.to_str().filter(|name| is_sensor_name(name));
+        // A name with a dot is more likely a file that was mistyped, unless there is such a sensor.
+        let is_likely = |name: &str| {
+            !name.contains('.')
+                || sweepd_client::client::Client::sensors(&self.root.domain())
+                    .is_ok_and(|sensors| sensors.iter().any(|sensor| sensor == name))
+        };
+        if name.is_some_and(is_likely) {
+            return Ok(true);
+        }
+        Err(CliError::Usage(format!(
+            "there is no capture {}, and no sensor of that name is published in {}: check the path, or start the daemon first",
+            source.display(),
+            self.root.domain().root().display()
+        )))
+    }
+
+    fn bind(&self) -> Result<TcpListener, CliError> {
+        if !self.listen.ip().is_loopback() && !self.public {
+            return Err(CliError::Usage(format!(
+                "--listen {}: others could reach that address, and there is no password; add --public if they may see the \
+                 sensor, or listen on 127.0.0.1 and use `ssh -t -L 9178:localhost:9178`",
+                self.listen
+            )));
+        }
+        TcpListener::bind(self.listen).map_err(|source| self.cannot_listen(&source))
+    }
+
+    fn cannot_listen(&self, source: &io::Error) -> CliError {
+        let listen = self.listen;
+        CliError::Usage(match source.kind() {
+            io::ErrorKind::AddrInUse => format!(
+                "cannot listen on {listen}: another program does, maybe another `sweepd view`; end that one, or give another \
+                 port, such as --listen {}:{}",
+                listen.ip(),
+                listen.port().wrapping_add(1).max(1024)
+            ),
+            _ => format!(
+                "cannot listen on {listen}: {source}; give an address of this host and a port from 1024 on with --listen"
+            ),
+        })
+    }
+
+    /// Prints where the page is, and opens it.
+    fn announce(&self, address: SocketAddr) -> Result<(), CliError> {
+        let mut shown = address;
+        if address.ip().is_unspecified() {
+            shown.set_ip(Ipv4Addr::LOCALHOST.into());
+        }
+        if self.public {
+            let port = address.port();
+            // Without standard error it cannot be told.
+            let _ = writeln!(
+                io::stderr(),
+                "others open it at port {port} of this host's IP address: without a password they see what the sensor sees, and \
+                 play, pause, seek and choose what all pages show"
+            );
+        }
+        let url = format!("http://{shown}/");
+        let mut out = io::stdout().lock();
+        writeln!(out, "{url}")
+            .and_then(|()| out.flush())
+            .map_err(CliError::Stdout)?;
+        if !self.no_open {
+            open(&url);
+        }
+        Ok(())
+    }
+}
+
+/// Opens a page in the browser, if there are a display and a program that does it.
+fn open(url: &str) {
+    let has_display = ["DISPLAY", "WAYLAND_DISPLAY"]
+        .iter()
+        .any(|name| std::env::var_os(name).is_some_and(|value| !value.is_empty()));
+    if !has_display {
+        return;
+    }
+    let opener = Command::new("xdg-open")
+        .arg(url)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn();
+    // The address is printed: without a browser, people open it themselves.
+    if let Ok(mut opener) = opener {
+        std::thread::spawn(move || opener.wait());
+    }
+}

@@ -1,0 +1,117 @@
+//! `sweepd view`: sweeps on a page in a browser.
+//!
+//! ```text
+//! source (a thread)                    stage            server (tasks)
+//! capture, simulation, sensor  ──────>  newest  ──────>  http, socket, tuning  ──────> pages
+//!                              <──────  commands <──────
+//! ```
+//!
+//! A consumer like any other, in a process of its own: the daemon serves no page, and a browser
+//! holds up nothing but its own socket.
+
+mod command;
+mod http;
+mod page;
+mod socket;
+pub(crate) mod source;
+mod stage;
+mod tuning;
+
+pub use command::{Args, run};
+
+use std::net::{SocketAddr, TcpListener};
+
+use self::http::Server;
+use self::source::reader::{Origin, Recipe};
+use self::stage::Kind;
+use sweepd::cli::CliError;
+use sweepd_client::client::Domain;
+use sweepd_core::segment;
+
+/// What is looked at.
+pub(crate) enum Source {
+    /// A capture or a simulation.
+    Capture {
+        recipe: Box<Recipe>,
+        /// Begins again at the end.
+        is_endless: bool,
+    },
+    /// A sensor of the running daemon: of this name, or the only one.
+    Sensor {
+        domain: Domain,
+        name: Option<String>,
+    },
+}
+
+impl Source {
+    /// Its kind and its name.
+    fn kind(&self) -> (Kind, String) {
+        match self {
+            Self::Capture { recipe, .. } => match &recipe.origin {
+                Origin::Capture(path) => (Kind::Capture, path.display().to_string()),
+                Origin::Simulation(simulation) => (Kind::Simulation, simulation.name()),
+            },
+            Self::Sensor {
+                name: Some(name), ..
+            } => (Kind::Sensor, name.clone()),
+            Self::Sensor { name: None, .. } => (Kind::Choice, String::new()),
+        }
+    }
+}
+
+/// Shows a source on the page until the program is to end.
+///
+/// # Errors
+/// [`CliError`]: the source cannot be opened, or the system refuses. `ready` is called when the page
+/// can be opened.
+pub(crate) fn serve(
+    source: Source,
+    segment: segment::Config,
+    listener: TcpListener,
+    address: SocketAddr,
+    ready: impl FnOnce() -> Result<(), CliError>,
+) -> Result<(), CliError> {
+    let (running, hall) = source::start(source, segment)?;
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .max_blocking_threads(2)
+        .build()
+        .map_err(system)?;
+    let served = runtime.block_on(async {
+        listener.set_nonblocking(true).map_err(system)?;
+        let listener = tokio::net::TcpListener::from_std(listener).map_err(system)?;
+        let server = Server::new(listener, address, hall);
+        let ended = end()?;
+        ready()?;
+        tokio::select! {
+            never = server.serve() => match never {},
+            () = ended => Ok(()),
+        }
+    });
+    // What is being segmented for a page is not awaited.
+    runtime.shutdown_background();
+    drop(running);
+    served
+}
+
+/// Comes with the signal that ends the program.
+fn end() -> Result<impl Future<Output = ()>, CliError> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let mut interrupt = signal(SignalKind::interrupt()).map_err(system)?;
+    let mut terminate = signal(SignalKind::terminate()).map_err(system)?;
+    let mut hangup = signal(SignalKind::hangup()).map_err(system)?;
+    Ok(async move {
+        tokio::select! {
+            _ = interrupt.recv() => {}
+            _ = terminate.recv() => {}
+            _ = hangup.recv() => {}
+        }
+    })
+}
+
+fn system(source: std::io::Error) -> CliError {
+    CliError::System {
+        what: "serve the page",
+        source,
+    }
+}

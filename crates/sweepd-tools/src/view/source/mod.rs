@@ -1,0 +1,111 @@
+//! Where sweeps come from: a thread that shows them on a [stage](super::stage).
+
+mod index;
+mod live;
+mod player;
+pub(crate) mod reader;
+pub(crate) mod simulation;
+
+use std::collections::BTreeMap;
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{self, JoinHandle};
+
+use self::live::Live;
+use self::player::Player;
+use self::reader::Origin;
+use self::reader::Reader;
+use super::Source;
+use super::stage::{Description, Hall, Kind, State, stage};
+use sweepd::cli::CliError;
+use sweepd_core::segment;
+
+/// A source at work; it ends when it is dropped.
+pub(super) struct Running {
+    over: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.over.store(true, Ordering::Relaxed);
+        for thread in self.threads.drain(..) {
+            // A panic has been reported.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Starts a source; the hall is for the server.
+///
+/// # Errors
+/// [`CliError`]: it cannot be opened, or the system has no thread.
+pub(super) fn start(source: Source, segment: segment::Config) -> Result<(Running, Hall), CliError> {
+    let over = Arc::new(AtomicBool::new(false));
+    let (kind, name) = source.kind();
+    let description = Description {
+        kind,
+        name,
+        sensors: Vec::new(),
+        chosen: None,
+        sweeps: (!matches!(kind, Kind::Sensor | Kind::Choice)).then_some(0),
+        marks: Vec::new(),
+        segment,
+    };
+    let state = State {
+        words: "begins".to_owned(),
+        ok: true,
+        playing: false,
+        speed: 1.0,
+        facts: BTreeMap::new(),
+    };
+    let (stage, hall) = stage(description, state, Arc::clone(&over));
+    let mut running = Running {
+        over: Arc::clone(&over),
+        threads: Vec::new(),
+    };
+    match source {
+        Source::Sensor { domain, name } => {
+            let live = Live::new(stage, domain, name);
+            running.spawn("live", move || live.run())?;
+        }
+        Source::Capture { recipe, is_endless } => {
+            // What is no capture is an error at once.
+            Reader::open(&recipe)?;
+            if let Origin::Simulation(simulation) = &recipe.origin {
+                let simulation = Arc::clone(simulation);
+                let over = Arc::clone(&over);
+                running.spawn("simulation", move || {
+                    simulation.make(|| over.load(Ordering::Relaxed));
+                })?;
+            }
+            let describer = stage.describer();
+            let player = Player::new(stage, (*recipe).clone(), is_endless)
+                .map_err(|error| CliError::Usage(error.to_string()))?;
+            let chosen = player.chosen();
+            running.spawn("player", move || player.run())?;
+            running.spawn("index", move || {
+                index::make(&recipe, &chosen, &describer, || {
+                    over.load(Ordering::Relaxed)
+                });
+            })?;
+        }
+    }
+    Ok((running, hall))
+}
+
+impl Running {
+    fn spawn(&mut self, name: &str, work: impl FnOnce() + Send + 'static) -> Result<(), CliError> {
+        let thread = thread::Builder::new().name(name.to_owned()).spawn(work);
+        self.threads.push(thread.map_err(no_thread)?);
+        Ok(())
+    }
+}
+
+fn no_thread(source: io::Error) -> CliError {
+    CliError::System {
+        what: "start a thread",
+        source,
+    }
+}
