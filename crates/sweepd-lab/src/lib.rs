@@ -1,5 +1,5 @@
 //! The laboratory of sweepd: sensors that are not there, clouds without packets, scores against scans
-//! that people labelled, and which obstacles are seen.
+//! that people labelled, which obstacles are seen, and the twin that the segmenter is held against.
 
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
@@ -10,3 +10,4 @@ pub mod score;
 pub mod simulate;
 #[cfg(feature = "testkit")]
 pub mod testkit;
+pub mod twin;
