@@ -43,8 +43,9 @@ use std::hint::black_box;
 use std::time::{Duration, Instant};
 
 use fearless_simd::{Level, Simd};
-use sweepd::segment::{Config, Method, Mount, Segmenter, naive};
+use sweepd::segment::{Config, Method, Mount, Segmenter};
 use sweepd_lab::cloud::{self, CloudProjector};
+use sweepd_lab::twin;
 
 use self::clock::{Series, Stages, least, median, segment_sweep, staged, timed};
 use self::images::Image;
@@ -184,7 +185,7 @@ fn sensor(image: &mut Image) -> [String; 2] {
         if turn % NAIVE_EVERY == 0 {
             let sweep = image.sweep();
             naive_ms.push(timed(|| {
-                naive::segment(black_box(&sweep.as_ref()), segmenters[0].config(), height_m)
+                twin::segment(black_box(&sweep.as_ref()), segmenters[0].config(), height_m)
             }));
         }
     }

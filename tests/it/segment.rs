@@ -10,12 +10,13 @@ use sweepd::assemble::lanes::levels;
 use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::segment::objects::Objects;
 use sweepd::segment::points::placed;
-use sweepd::segment::{Config, ConfigError, Joining, Mask, Method, Mount, Segmenter, naive};
+use sweepd::segment::{Config, ConfigError, Joining, Mask, Method, Mount, Segmenter};
 use sweepd::sensor::Beam;
 use sweepd::sensor::calibration::TwoPoint;
 use sweepd::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, flags, is_return};
 use sweepd::sweep::{Column, Shape, SweepMut, SweepRef};
 use sweepd_lab::cloud::{COLUMNS, CloudProjector, CloudSegmenter, points};
+use sweepd_lab::twin;
 use zerocopy::IntoBytes;
 
 /// A random scene and the sensor that sees it, drawn from a seed.
@@ -491,7 +492,7 @@ proptest! {
     fn fast_is_naive(scene in scenes()) {
         let config = scene.config(Method::Slope);
         scene.with_sweep(0, |sweep| {
-            let naive = naive::segment(&sweep.as_ref(), &config, config.mount.height_m);
+            let naive = twin::segment(&sweep.as_ref(), &config, config.mount.height_m);
             let mut first = None;
             for level in levels() {
                 Segmenter::with_level(config.clone(), level).unwrap().segment(sweep);
@@ -997,7 +998,7 @@ fn fast_is_naive_on_real_scans() {
         let sweep = sweep.as_ref();
         check_table(&sweep);
         assert!(
-            sweep.label == naive::segment(&sweep, &config, config.mount.height_m),
+            sweep.label == twin::segment(&sweep, &config, config.mount.height_m),
             "{scan}"
         );
     }

@@ -8,9 +8,10 @@ use crate::common::run::Runner;
 use sweepd::assemble::lanes::levels;
 use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::pipeline::Config;
-use sweepd::segment::{self, Mount, Segmenter, naive};
+use sweepd::segment::{self, Mount, Segmenter};
 use sweepd::sweep::layout::flags;
 use sweepd::sweep::{SweepMut, SweepRef};
+use sweepd_lab::twin;
 
 fn captures() -> Vec<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("pcap_fixtures");
@@ -98,13 +99,13 @@ fn a_sweep_taken_early_is_labelled_as_a_whole_one_is() {
             mount,
             ..segment::Config::default()
         };
-        let twin = naive::segment(
+        let naive = twin::segment(
             &last,
             &config,
             Some(last.header.height_m).filter(|height_m| *height_m > 0.0),
         );
         assert!(
-            twin == last.label,
+            naive == last.label,
             "{}: the naive twin says otherwise",
             capture.display()
         );
