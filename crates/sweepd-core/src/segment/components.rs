@@ -16,9 +16,9 @@ use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_NONE};
 /// own but a part of the nearest one that is.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Small {
-    pub points: u32,
+    points: u32,
     /// As [`area`] counts it.
-    pub area: u64,
+    area: u64,
 }
 
 impl Small {
@@ -29,7 +29,7 @@ impl Small {
         }
     }
 
-    pub fn is(self, points: u32, area: u64) -> bool {
+    fn is(self, points: u32, area: u64) -> bool {
         points < self.points || area < self.area
     }
 }

@@ -86,7 +86,7 @@ pub(super) fn jumps(columns: &[Column], order: Order, position: usize, pitch_rad
 
 /// Whether two columns that follow each other have too much between them to be neighbours.
 #[inline(always)]
-pub(super) fn is_jump(a: &Column, b: &Column, pitch_rad: f32) -> bool {
+fn is_jump(a: &Column, b: &Column, pitch_rad: f32) -> bool {
     step_rad(a, b) > JUMP_PITCHES * pitch_rad
 }
 

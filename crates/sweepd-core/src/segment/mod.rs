@@ -21,8 +21,8 @@
 //! * [`Method::Paper`] is the paper's own, in the folder [`paper`]: all of an image at once, and
 //!   only pixels that touch.
 //!
-//! [`settings`] is the table of numbers that people set. [`naive`] says the same as the default
-//! method without any of the speed, and the tests hold the two against each other.
+//! [`settings`] is the table of numbers that people set. The laboratory's `twin` says the same as the
+//! default method without any of the speed, and the tests hold the two against each other.
 
 mod area;
 mod climb;
@@ -35,7 +35,6 @@ pub mod joining;
 mod labels;
 pub mod mask;
 pub mod mount;
-pub mod naive;
 mod near;
 pub mod objects;
 mod order;

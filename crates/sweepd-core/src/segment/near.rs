@@ -72,14 +72,6 @@ impl Gap {
         let (low, high) = along.to_int::<i32x16<S>>().split();
         low.saturating_narrow(high)
     }
-
-    /// The same of one flat range and chord.
-    pub fn along_of(self, flat: i16, chord: f32) -> i16 {
-        let flat = f32::from(flat);
-        let gap = (flat * self.rad).max(self.least).min(self.most) + self.beyond;
-        let across = flat * chord;
-        ((gap * gap - across * across).max(0.0).sqrt() + 0.5) as i16
-    }
 }
 
 /// Which flat ranges are as near as they may be.
@@ -204,23 +196,6 @@ impl Limits {
         mul_high(ranges, u16x16::splat(ranges.token(), self.cos_of(row))).max(1)
     }
 
-    /// The same of one range.
-    pub fn flat_of(&self, row: usize, range: i16) -> i16 {
-        (((i32::from(range) * i32::from(self.cos_of(row))) >> 16) as i16).max(1)
-    }
-
-    /// Whether one flat range is near another one, this many columns aside in a row of its window.
-    pub fn is_near(
-        &self,
-        gap: Gap,
-        [here, there]: [i16; 2],
-        columns: usize,
-        row: WindowRow,
-    ) -> bool {
-        let along = gap.along_of(here, self.chords.of(columns));
-        here.abs_diff(there) < along.unsigned_abs() && here <= row.furthest
-    }
-
     fn cos_of(&self, row: usize) -> u16 {
         (self.cos[row] * ONE).min(ONE - 1.0) as u16
     }
@@ -271,7 +246,7 @@ mod x86 {
 #[cfg(test)]
 mod tests {
     use fastrand::Rng;
-    use fearless_simd::dispatch;
+    use fearless_simd::{Level, dispatch};
 
     use super::*;
     use crate::assemble::lanes::levels;
@@ -286,6 +261,29 @@ mod tests {
         (beams, elevations_rad)
     }
 
+    /// Whether a flat range is near another one, a chord aside, with this much beyond the gap.
+    fn is_near(here: i16, there: i16, chord: f32, joining: &Joining, beyond_m: f32) -> bool {
+        let here_m = f32::from(here) / STEPS;
+        let spanned_m = here_m * joining.gap_rad;
+        let gap_m = spanned_m.clamp(joining.min_gap_m, joining.max_gap_m) + beyond_m;
+        let across_m = here_m * chord;
+        let along_m = (gap_m * gap_m - across_m * across_m).max(0.0).sqrt();
+        here.abs_diff(there) < (along_m * STEPS).round() as u16
+    }
+
+    /// Whether a return of the lower row is near one of the upper row, this many columns aside.
+    fn finds_near(limits: &Limits, lower_m: f32, upper_m: f32, columns: usize) -> bool {
+        let near = dispatch!(Level::new(), simd => {
+            let lower = limits.flat(1, i16x16::splat(simd, to_step(lower_m)));
+            let upper = limits.flat(0, i16x16::splat(simd, to_step(upper_m)));
+            let chord = f32x16::splat(simd, limits.chords.of(columns));
+            let along = limits.gap.along(to_float(lower), chord);
+            let is_near = near(lower, upper, along) & lower.simd_le(limits.up(1, 1).furthest);
+            is_near.to_bitmask()
+        });
+        near & 1 == 1
+    }
+
     #[test]
     fn vectors_say_what_single_pixels_say() {
         let mut rng = Rng::with_seed(1);
@@ -298,10 +296,9 @@ mod tests {
                 ..Joining::default()
             };
             limits.set(&rows(&mut rng).0, 0.001 + 0.02 * rng.f32(), &joining);
-            let gap = if rng.bool() { limits.gap } else { limits.reach };
-            let row = WindowRow {
-                furthest: i16::MAX,
-                ..limits.up(1, 1)
+            let (gap, beyond_m) = match rng.bool() {
+                true => (limits.gap, 0.0),
+                false => (limits.reach, joining.small_reach_m),
             };
             let most = 1 << rng.u32(1..15);
             let here: i16 = rng.i16(1..=most);
@@ -314,7 +311,8 @@ mod tests {
             let is_left = rng.bool();
             let expected = |lane: usize| {
                 let columns = if is_left { LANES - 1 - lane } else { lane };
-                let is_near = limits.is_near(gap, [here, there[lane]], columns, row);
+                let chord = limits.chords.of(columns);
+                let is_near = is_near(here, there[lane], chord, &joining, beyond_m);
                 u64::from(there[lane] != NO_RETURN && is_near) << lane
             };
             let expected: u64 = (0..LANES).map(expected).sum();
@@ -358,8 +356,7 @@ mod tests {
                 here_m / elevations_rad[1].cos(),
             ];
             let ranges_m = ranges_m.map(|range_m| range_m as f32);
-            let [there, here] = [0, 1].map(|row| limits.flat_of(row, to_step(ranges_m[row])));
-            let is_near = limits.is_near(limits.gap, [here, there], columns, limits.up(1, 1));
+            let is_near = finds_near(&limits, ranges_m[1], ranges_m[0], columns);
             counts[usize::from(is_near)] += 1;
             // What lies across is taken at the range of the one that is compared.
             let off_m = 0.03 + 0.65 * (there_m.max(here_m) / there_m.min(here_m)).sqrt() - 0.65;
