@@ -10,8 +10,6 @@ mod common;
 mod hostile;
 #[path = "fuzz/memory.rs"]
 mod memory;
-#[path = "fuzz/mutate.rs"]
-mod mutate;
 #[path = "fuzz/seeds.rs"]
 mod seeds;
 #[path = "fuzz/targets/mod.rs"]
@@ -23,6 +21,7 @@ use std::time::{Duration, Instant};
 use std::{fs, panic, thread};
 
 use fastrand::Rng;
+use sweepd_lab::testkit::mutate::mutated;
 
 /// Longest time for one input: in a debug build, on a machine that does other things too.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -64,7 +63,7 @@ fn fuzz(name: &'static str, rounds: u64, memory_mib: usize) {
                 Some(input) => input.clone(),
                 None => {
                     let [one, other] = [(); 2].map(|()| rng.usize(..seeds.len()));
-                    mutate::mutated(&mut rng, &seeds[one], &seeds[other])
+                    mutated(&mut rng, &seeds[one], &seeds[other])
                 }
             };
             *lock(&shared) = Current {
@@ -182,7 +181,7 @@ fuzz! {
     status_stream: 2000 rounds, 8 MiB;
     capture: 2000 rounds, 32 MiB;
     bag: 2000 rounds, 32 MiB;
-    database: 500 rounds, 32 MiB;
+    frames: 2000 rounds, 8 MiB;
     frame: 2000 rounds, 8 MiB;
     db_xml: 500 rounds, 8 MiB;
     ros_yaml: 500 rounds, 8 MiB;

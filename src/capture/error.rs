@@ -36,7 +36,17 @@ pub enum CaptureError {
         /// The topics that it has, and what to do.
         found: String,
     },
-    /// The disk or the pipe failed.
+    /// A database of rosbag2, and nothing that reads it.
+    #[error(
+        "{name}: a database of rosbag2 is read by {missing}, or `ros2 bag convert` turns it into MCAP"
+    )]
+    NoReader {
+        /// The path as it was given.
+        name: String,
+        /// The program that is missing, and the cure ([`crate::tool::missing`]).
+        missing: String,
+    },
+    /// The disk, the pipe, or the program that reads a database failed.
     #[error("cannot read {name} beyond record {record} ({place}): {source}")]
     Read {
         /// The path as it was given, or `standard input`.
@@ -184,6 +194,12 @@ pub enum Damage {
     #[error("SQLite says: {message}")]
     Database {
         /// Its words.
+        message: String,
+    },
+    /// A SQLite database that asks for what no recorder of a bag does.
+    #[error("{message}")]
+    Refused {
+        /// What it asks for.
         message: String,
     },
 }

@@ -451,7 +451,7 @@ impl<R: BufRead> Read for ZstdFrames<R> {
 pub(super) fn describe(head: &[u8]) -> String {
     const CUT_HEADER: &str = "the start of a capture, cut inside the file header";
     const DATABASE: &str = "a SQLite database, perhaps a ROS 2 bag, which is read only from a file of its own \
-        (not through a pipe, not compressed), and by a build with the feature `sqlite`";
+        (not through a pipe, not compressed)";
     const KNOWN: [(&[u8], &str); 14] = [
         (b"\xD4\xC3\xB2\xA1", CUT_HEADER),
         (b"\xA1\xB2\xC3\xD4", CUT_HEADER),

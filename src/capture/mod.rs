@@ -3,12 +3,14 @@
 //! * [`pcap`]: the records of a pcap or pcapng file, plain or compressed.
 //! * [`link`]: the UDP datagram in a frame.
 //! * [`Capture`]: both together, with counts of all skipped records; and the packets of ROS bags.
+//! * [`db3`]: the program that reads the databases of rosbag2.
 //! * [`udp`]: the datagrams of live sensors.
 //! * [`pace`]: when to send each datagram of a replay.
 //! * [`mod@write`]: captures written.
 //! * [`record`]: records live sensors without delaying them.
 
 pub(crate) mod bag;
+pub mod db3;
 pub mod error;
 mod frame;
 pub(crate) mod input;
@@ -165,9 +167,17 @@ impl Capture {
     /// # Errors
     /// [`CaptureError`]: it cannot be opened or read, or is not a capture.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, CaptureError> {
+        Self::open_by(path, &db3::Reader::default())
+    }
+
+    /// As [`Capture::open`]; databases of rosbag2 are read as `reader` says.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn open_by(path: impl AsRef<Path>, reader: &db3::Reader) -> Result<Self, CaptureError> {
         let path = path.as_ref();
         if Self::is_in_place(path) {
-            return Bag::open(path).map(Self::of_bag);
+            return Bag::open(path, reader).map(Self::of_bag);
         }
         let (name, source) = Input::open(path)?;
         Self::new(&name, source)

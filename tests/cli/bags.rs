@@ -8,6 +8,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use sweepd::capture::Capture;
+use sweepd::capture::db3::{PATIENCE, Reader};
+use sweepd_lab::testkit::tool;
 
 use crate::common::data_dir;
 use crate::{fixture, inspect, replay};
@@ -109,6 +111,8 @@ fn captures() -> [(PathBuf, PathBuf); 3] {
     ignore = "no SWEEPD_ROS_PYTHON or no captures"
 )]
 fn a_bag_gives_the_bytes_that_its_capture_gives() {
+    // Beside `sweepd`, which finds it there.
+    tool("sweepd-db3");
     for (capture, other) in captures() {
         let bags = bags_of(&capture, &other);
         let [plain, other] = ["plain.pcap", "other.pcap"].map(|name| bags.path().join(name));
@@ -152,6 +156,10 @@ fn a_bag_of_another_writer_that_is_cut_gives_what_it_holds() {
     let bags = bags_of(&capture, &other);
     let all = datagrams(Capture::open(bags.path().join("plain.pcap")).unwrap()).0;
     let part = bags.path().join("part");
+    let reader = Reader {
+        program: Some(tool("sweepd-db3")),
+        patience: PATIENCE,
+    };
     for name in [
         "none.mcap",
         "lz4.mcap",
@@ -165,7 +173,7 @@ fn a_bag_of_another_writer_that_is_cut_gives_what_it_holds() {
         let mut most = 0;
         for cut in 0..60 {
             fs::write(&part, &file[..file.len() * cut / 60]).unwrap();
-            let Ok(capture) = Capture::open(&part) else {
+            let Ok(capture) = Capture::open_by(&part, &reader) else {
                 assert_eq!(most, 0, "{name}");
                 continue;
             };

@@ -1,11 +1,12 @@
 //! Bad input: one clear error that names the place and the cure, and an exit code.
 
-use std::process::Stdio;
+use std::process::{Command, Stdio};
 
-use crate::common::bags::{self, mcap};
+use crate::common::bags::mcap;
 use crate::{
     Folder, Ran, command, common, fixture, inspect, made, replay, sweepd, sweepd_with_stdin,
 };
+use sweepd_lab::testkit::scan;
 
 #[test]
 fn what_is_no_capture_is_named_by_both_commands() {
@@ -54,16 +55,85 @@ fn a_bag_without_packets_of_a_sensor_says_what_it_holds_instead() {
         ]);
     }
     let messages = [
-        mcap::message(0, &bags::cdr(&[(5, 9); 3], false)),
+        mcap::message(0, &scan::cdr(&[(5, 9); 3], false)),
         mcap::message(0, b"no scan"),
     ];
-    let bag = mcap::file(&[channel(bags::SCAN), messages.concat()]);
+    let bag = mcap::file(&[channel(scan::SCAN), messages.concat()]);
     let path = folder.write("others.mcap", bag);
     replay(&path, &[]).says(&["others.mcap: no Velodyne data packets (3 packets);"]);
     let text = inspect(&path).done();
     let records =
         "3 packets, 3 of them not of a Velodyne; 1 message on their topics without a VelodyneScan";
     assert!(text.contains("MCAP") && text.contains(records), "{text}");
+}
+
+/// A folder with `sweepd` alone in it, which looks beside itself for the program that reads
+/// databases; and a folder with a bag.
+fn sweepd_alone(test: &str) -> (Folder, Folder) {
+    let programs = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
+    let program = programs.path().join("sweepd");
+    std::fs::hard_link(env!("CARGO_BIN_EXE_sweepd"), &program).unwrap();
+    let bag = Folder::new(test);
+    bag.write("drive_0.db3", [b"SQLite format 3\0", &[0; 84][..]].concat());
+    (Folder(programs), bag)
+}
+
+/// `sweepd` of a folder with these words, and no folder of programs.
+fn run_alone(programs: &Folder, words: &[&str]) -> Ran {
+    let mut command = Command::new(programs.path("sweepd"));
+    command.args(words).env("PATH", "").stdin(Stdio::null());
+    Ran::of(command.output().unwrap())
+}
+
+#[test]
+fn a_database_without_the_program_that_reads_it_names_the_package() {
+    let (programs, bag) = sweepd_alone("no-reader");
+    let file = bag.path("drive_0.db3");
+    let release = if cfg!(debug_assertions) {
+        ""
+    } else {
+        "--release "
+    };
+    for path in [&file, &bag.path("")] {
+        for command in ["replay", "inspect"] {
+            let ran = run_alone(&programs, &[command, path.to_str().unwrap()]);
+            assert_eq!((ran.code, &ran.stdout[..]), (1, ""));
+            let says = format!(
+                "error: {}: a database of rosbag2 is read by sweepd-db3, which is not beside sweepd or on PATH: \
+                 install the package sweepd-tools (cargo install sweepd-tools; in a checkout, cargo build {release}-p \
+                 sweepd-tools), or `ros2 bag convert` turns it into MCAP\n",
+                file.display()
+            );
+            assert_eq!(ran.stderr, says);
+        }
+    }
+}
+
+#[test]
+fn a_program_that_sends_no_frames_of_a_database_is_refused() {
+    let (programs, bag) = sweepd_alone("no-frames");
+    // The shell writes it: a file that this process has open could not be run.
+    let script =
+        "printf '#!/bin/sh\\necho hello, this is another program\\n' > \"$0\" && chmod +x \"$0\"";
+    let written = Command::new("sh")
+        .args(["-c", script])
+        .arg(programs.path("sweepd-db3"))
+        .status();
+    assert!(written.unwrap().success());
+    let file = bag.path("drive_0.db3");
+    let ran = run_alone(&programs, &["replay", file.to_str().unwrap()]);
+    assert_eq!((ran.code, &ran.stdout[..]), (1, ""));
+    ran.says(&[
+        &format!(
+            "cannot read {} beyond record 0 (message 1): ",
+            file.display()
+        ),
+        &format!(
+            "{} sends `hello, this i`; is it sweepd-db3 of sweepd {}?",
+            programs.path("sweepd-db3").display(),
+            env!("CARGO_PKG_VERSION")
+        ),
+    ]);
 }
 
 #[test]

@@ -2,36 +2,10 @@
 
 use std::io::Write;
 
-/// The type of the messages, as ROS 2 and ROS 1 name it.
-pub const SCAN: &str = "velodyne_msgs/msg/VelodyneScan";
+use sweepd_lab::testkit::scan::Stamped;
+
+/// The type of the messages, as ROS 1 names it.
 pub const ROS1_SCAN: &str = "velodyne_msgs/VelodyneScan";
-
-/// A packet: its stamp in nanoseconds, and the byte that its data repeat.
-pub type Stamped = (i64, u8);
-
-/// A VelodyneScan in CDR, in either byte order.
-pub fn cdr(packets: &[Stamped], big_endian: bool) -> Vec<u8> {
-    let word = |value: u32| {
-        if big_endian {
-            value.to_be_bytes()
-        } else {
-            value.to_le_bytes()
-        }
-    };
-    let mut message = vec![0, u8::from(!big_endian), 0, 0];
-    // The header: seconds, nanoseconds, and a frame id whose length is no multiple of four.
-    message.extend([word(7), word(8), word(6)].as_flattened());
-    message.extend(b"lidar\0\0\0");
-    message.extend(word(packets.len() as u32));
-    for &(stamp_ns, byte) in packets {
-        message.resize(message.len().next_multiple_of(4), 0);
-        let seconds = stamp_ns.div_euclid(1_000_000_000) as i32;
-        let nanoseconds = stamp_ns.rem_euclid(1_000_000_000) as u32;
-        message.extend([word(seconds as u32), word(nanoseconds)].as_flattened());
-        message.extend([byte; 1206]);
-    }
-    message
-}
 
 /// A VelodyneScan as ROS 1 serialises it.
 pub fn ros1_scan(packets: &[Stamped]) -> Vec<u8> {
@@ -181,27 +155,4 @@ pub mod ros1 {
         let index = if is_finished { end as u64 } else { 0 };
         [header(index), records.concat()].concat()
     }
-}
-
-/// A database of rosbag2 at this path: topics by name and type, and messages by topic.
-pub fn sqlite(path: &std::path::Path, topics: &[(&str, &str)], messages: &[(usize, Vec<u8>)]) {
-    let mut database = rusqlite::Connection::open(path).unwrap();
-    let tables = "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, \
-        serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL);
-        CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL, \
-        data BLOB NOT NULL);
-        CREATE INDEX timestamp_idx ON messages (timestamp ASC);";
-    database.execute_batch(tables).unwrap();
-    let all = database.transaction().unwrap();
-    for (topic, (name, kind)) in topics.iter().enumerate() {
-        let row = (topic as i64 + 1, name, kind);
-        all.execute("INSERT INTO topics VALUES (?1, ?2, ?3, 'cdr', '')", row)
-            .unwrap();
-    }
-    for (number, (topic, data)) in messages.iter().enumerate() {
-        let row = (*topic as i64 + 1, number as i64, data);
-        all.execute("INSERT INTO messages VALUES (NULL, ?1, ?2, ?3)", row)
-            .unwrap();
-    }
-    all.commit().unwrap();
 }

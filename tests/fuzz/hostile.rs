@@ -1,6 +1,7 @@
 //! Inputs that are made to take all the time or all the memory there is.
 
-use crate::common::bags::{SCAN, cdr, compress, mcap, ros1};
+use crate::common::bags::{compress, mcap, ros1};
+use sweepd_lab::testkit::scan::{SCAN, cdr};
 
 /// What might bring the target of this name to its knees; as long as the files may be that are
 /// read.
@@ -14,6 +15,7 @@ pub fn of(name: &str) -> Vec<Vec<u8>> {
             .to_vec(),
         "capture" => captures(),
         "bag" => bags(),
+        "frames" => frames(),
         "cloud" => clouds(),
         "mask" => vec![
             png(36_000, 128),
@@ -169,6 +171,18 @@ fn captures() -> Vec<Vec<u8>> {
         ]
         .repeat(4000),
     ]
+}
+
+/// Frames that claim the longest text or message, or more, and have none.
+fn frames() -> Vec<Vec<u8>> {
+    let message = [&b"M"[..], &[0; 12]].concat();
+    let mut all = Vec::new();
+    for len in [16 << 20, (16 << 20) + 1, u32::MAX] {
+        for head in [&b"T"[..], &message, &[b'E', 0, 0, 0, 0, 0, 0, 0, 0, 0]] {
+            all.push([head, &len.to_le_bytes()].concat());
+        }
+    }
+    all
 }
 
 fn bags() -> Vec<Vec<u8>> {

@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::Path;
 
 use sweepd::buffers::{Buffers, HeapBuffers};
+use sweepd::capture::db3::{End, Frame};
 use sweepd::capture::write::Addressed;
 use sweepd::capture::{Capture, PcapWriter};
 use sweepd::sensor::{Model, ModelExt, ros_yaml};
@@ -14,6 +15,7 @@ use sweepd::wire::position::POSITION_PACKET_LEN;
 use sweepd_lab::simulate::unit::unit;
 
 use crate::common::bags::{self, mcap, ros1};
+use sweepd_lab::testkit::scan;
 
 type Inputs = Vec<Vec<u8>>;
 
@@ -29,7 +31,7 @@ pub fn of(name: &str, data: Option<&Path>) -> Inputs {
         "status_stream" => status_streams(),
         "capture" => capture_files(data),
         "bag" => bag_files(),
-        "database" => databases(),
+        "frames" => frames_of_databases(),
         "frame" => frames(),
         "db_xml" => [vec![db_xml()], files(data, "calib", &["xml"], 128 << 10)].concat(),
         "ros_yaml" => yamls(data),
@@ -222,16 +224,16 @@ fn bag_files() -> Inputs {
         (1_700_000_000_001_000_000, 0xEE),
     ];
     let records = [
-        mcap::schema(1, bags::SCAN),
+        mcap::schema(1, scan::SCAN),
         mcap::schema(2, "std_msgs/msg/String"),
         mcap::channel(1, 1, "/left", "cdr"),
         mcap::channel(2, 1, "/right", "ros1"),
         mcap::channel(3, 2, "/chatter", "cdr"),
-        mcap::message(1, &bags::cdr(&scan, false)),
+        mcap::message(1, &scan::cdr(&scan, false)),
         mcap::message(2, &bags::ros1_scan(&scan)),
         mcap::message(3, b"hello"),
-        mcap::message(1, &bags::cdr(&scan, true)),
-        mcap::message(2, &bags::compress("zstd", &bags::cdr(&scan, true))),
+        mcap::message(1, &scan::cdr(&scan, true)),
+        mcap::message(2, &bags::compress("zstd", &scan::cdr(&scan, true))),
     ]
     .concat();
     let mut seeds: Inputs = ["none", "zstd", "lz4", "bz2"]
@@ -253,18 +255,40 @@ fn bag_files() -> Inputs {
     seeds
 }
 
-fn databases() -> Inputs {
-    let path = std::env::temp_dir().join(format!("sweepd-seed-{}.db3", std::process::id()));
-    let topics = [("/left", bags::SCAN), ("/chatter", "std_msgs/msg/String")];
-    let messages = [
-        (0, bags::cdr(&[(5, 0xFF); 8], false)),
-        (1, vec![1; 6000]),
-        (0, bags::cdr(&[(6, 0xFF); 2], true)),
+/// What the program that reads databases sends of one.
+fn frames_of_databases() -> Inputs {
+    let topic = |name: &str, kind: &str| Frame::Topic {
+        name: name.to_owned().into(),
+        kind: kind.to_owned().into(),
+        format: "cdr".into(),
+    };
+    let message = |number: i64, big_endian: bool| Frame::Message {
+        topic: 0,
+        number,
+        bytes: scan::cdr(&[(5, 0xFF); 2], big_endian).into(),
+    };
+    let ends = [
+        End::Whole,
+        End::Cut,
+        End::Damaged("database disk image is malformed".to_owned()),
     ];
-    bags::sqlite(&path, &topics, &messages);
-    let seed = std::fs::read(&path).expect("the database just written");
-    std::fs::remove_file(&path).expect("the database just written");
-    vec![seed]
+    let mut seeds = Vec::new();
+    for end in ends {
+        let frames = [
+            topic("/left", scan::SCAN),
+            topic("/chatter", "std_msgs/msg/String"),
+            message(1, false),
+            Frame::Progress { number: 7 },
+            message(9, true),
+            Frame::End { end, number: 10 },
+        ];
+        let mut seed = Vec::new();
+        for frame in frames {
+            frame.write(&mut seed).expect("memory");
+        }
+        seeds.push(seed);
+    }
+    seeds
 }
 
 /// Two sections with interfaces of all kinds of time, and every kind of packet block.

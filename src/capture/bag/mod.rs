@@ -1,5 +1,5 @@
-//! Packets from ROS bags: the `velodyne_msgs/VelodyneScan` messages of MCAP files, of the SQLite
-//! databases and folders of rosbag2, and of ROS 1 bags.
+//! Packets from ROS bags: the `velodyne_msgs/VelodyneScan` messages of MCAP files, of the databases
+//! and folders of rosbag2, and of ROS 1 bags.
 //!
 //! A bag has no datagrams: the stamp of a packet stands for its arrival, and the topic for the
 //! address of its sensor. velodyne_driver stamps a packet as it reads it, with the mean of the times
@@ -7,11 +7,10 @@
 //! into a bag, so sweeps have the time of the capture.
 
 mod chunks;
+mod database;
 pub(crate) mod mcap;
 mod ros1;
 mod scan;
-#[cfg(feature = "sqlite")]
-mod sqlite;
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -19,15 +18,17 @@ use std::io::Cursor;
 use std::net::{Ipv6Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 
+use super::db3;
 use super::error::{CaptureError, Damage, Place, Stop, Truncation};
 use super::input::{Input, Opened, SQLITE_MAGIC, ZSTD_MAGIC, read_full};
 use scan::{Encoding, Scan};
 
 /// Most bytes of a message: ten thousand packets, many turns of any model.
-const MAX_MESSAGE_LEN: u64 = 16 << 20;
+pub const MAX_MESSAGE_LEN: u64 = 16 << 20;
 /// Scans are read ahead up to here, to put the packets of several topics in order.
 const MAX_WAITING: usize = 4 << 20;
-const MAX_TOPICS: usize = 1024;
+/// Most topics with scans.
+pub const MAX_TOPICS: usize = 1024;
 const MAX_TOPIC_LEN: u64 = 4096;
 /// Most topics that a message lists.
 const MAX_LISTED: usize = 20;
@@ -44,6 +45,16 @@ trait Log: Send {
 
     /// The place of what was read last.
     fn place(&self) -> Place;
+}
+
+/// Whether messages of this type are scans, by its names in ROS 2, in ROS 1 and in DDS.
+pub fn is_scans(kind: &str) -> bool {
+    matches!(
+        kind,
+        "velodyne_msgs/msg/VelodyneScan"
+            | "velodyne_msgs/VelodyneScan"
+            | "velodyne_msgs::msg::dds_::VelodyneScan_"
+    )
 }
 
 /// A message on a topic with scans.
@@ -89,13 +100,7 @@ impl Topics {
     fn add(&mut self, name: &str, kind: &str) -> Result<Option<usize>, Stop> {
         bounded(name.len() as u64, MAX_TOPIC_LEN, "topic")?;
         let name = format!("/{}", name.trim_start_matches('/'));
-        let is_scans = matches!(
-            kind,
-            "velodyne_msgs/msg/VelodyneScan"
-                | "velodyne_msgs/VelodyneScan"
-                | "velodyne_msgs::msg::dds_::VelodyneScan_"
-        );
-        if !is_scans {
+        if !is_scans(kind) {
             self.add_other(&name, kind);
             return Ok(None);
         }
@@ -182,6 +187,7 @@ pub(super) struct Bag {
     /// The file that is read, and those that follow; of a folder.
     file: Option<PathBuf>,
     files: VecDeque<PathBuf>,
+    reader: db3::Reader,
     topics: Topics,
     /// The topic of the current packet.
     current: Option<usize>,
@@ -200,15 +206,15 @@ impl Bag {
 
     /// Whether a bag of this path is opened by its path: a folder, or a database.
     pub(super) fn is_in_place(path: &Path) -> bool {
-        path.is_dir() || (cfg!(feature = "sqlite") && is_database(path))
+        path.is_dir() || is_database(path)
     }
 
     /// Opens a folder or a database.
-    pub(super) fn open(path: &Path) -> Result<Self, CaptureError> {
+    pub(super) fn open(path: &Path, reader: &db3::Reader) -> Result<Self, CaptureError> {
         let name = path.display().to_string();
         if !path.is_dir() {
-            let (log, format) = open_log(path)?;
-            return Self::begin(name, log, format, None, VecDeque::new());
+            let opened = open_log(path, reader)?;
+            return Self::begin(name, opened, reader, None, VecDeque::new());
         }
         let mut files = files_of(path).map_err(|source| CaptureError::Open {
             name: name.clone(),
@@ -218,22 +224,22 @@ impl Bag {
             let found = "a folder without .mcap, .db3 or .bag files".to_owned();
             return Err(CaptureError::NotACapture { name, found });
         };
-        let (log, format) = open_log(&first)?;
-        Self::begin(name, log, format, Some(first), files)
+        let opened = open_log(&first, reader)?;
+        Self::begin(name, opened, reader, Some(first), files)
     }
 
     /// Reads on from the first bytes of a bag.
     pub(super) fn over(opened: Opened) -> Result<Self, CaptureError> {
         let name = opened.name.clone();
-        let (log, format) = stream(opened)?;
-        Self::begin(name, log, format, None, VecDeque::new())
+        let opened = stream(opened)?;
+        Self::begin(name, opened, &db3::Reader::default(), None, VecDeque::new())
     }
 
     /// Reads up to the first scan: without scans, it is no capture.
     fn begin(
         name: String,
-        log: Box<dyn Log>,
-        format: &'static str,
+        (log, format): (Box<dyn Log>, &'static str),
+        reader: &db3::Reader,
         file: Option<PathBuf>,
         files: VecDeque<PathBuf>,
     ) -> Result<Self, CaptureError> {
@@ -243,6 +249,7 @@ impl Bag {
             format,
             file,
             files,
+            reader: reader.clone(),
             topics: Topics::default(),
             current: None,
             malformed: 0,
@@ -330,7 +337,7 @@ impl Bag {
             }
             Ok(None) => match self.files.pop_front() {
                 Some(file) => {
-                    self.log = open_log(&file)?.0;
+                    self.log = open_log(&file, &self.reader)?.0;
                     self.file = Some(file);
                 }
                 None => self.end = Some(Ok(())),
@@ -384,10 +391,13 @@ impl Bag {
 }
 
 /// Opens a file of a folder, or a database.
-fn open_log(path: &Path) -> Result<(Box<dyn Log>, &'static str), CaptureError> {
-    #[cfg(feature = "sqlite")]
+fn open_log(
+    path: &Path,
+    reader: &db3::Reader,
+) -> Result<(Box<dyn Log>, &'static str), CaptureError> {
     if is_database(path) {
-        return Ok((Box::new(sqlite::Database::open(path)?), "rosbag2 database"));
+        let database = database::Database::open(path, reader)?;
+        return Ok((Box::new(database), "rosbag2 database"));
     }
     let (name, source) = Input::open(path)?;
     stream(Opened::new(&name, source)?)

@@ -1,8 +1,10 @@
-//! Files of frames: pcap and pcapng, plain or compressed, and the frames in them; ROS bags.
+//! Files of frames: pcap and pcapng, plain or compressed, and the frames in them; ROS bags; what the
+//! program that reads databases sends.
 
-use std::io::Cursor;
+use std::io::{Cursor, ErrorKind};
 
 use sweepd::admission::DiscoveredSensors;
+use sweepd::capture::db3::{Frame, MAX_MESSAGE_LEN};
 use sweepd::capture::{Capture, CaptureCounts, CaptureError, Decapsulator, LinkType, NoDatagram};
 
 use super::Numbers;
@@ -17,12 +19,26 @@ pub fn capture(input: &[u8]) {
     read(Capture::new("fuzz", Box::new(Cursor::new(input.to_vec()))));
 }
 
-/// The same for a database, which is read from a file.
-pub fn database(input: &[u8]) {
-    let path = std::env::temp_dir().join(format!("sweepd-fuzz-{}.db3", std::process::id()));
-    std::fs::write(&path, input).expect("a folder for temporary files");
-    read(Capture::open(&path));
-    std::fs::remove_file(&path).expect("the file just written");
+/// Frames of a database, one behind the other: what is read is written again, byte for byte.
+pub fn frames(input: &[u8]) {
+    let mut rest = input;
+    loop {
+        let before = rest;
+        match Frame::read(&mut rest) {
+            Ok(frame) => {
+                let mut again = Vec::new();
+                frame.write(&mut again).expect("memory");
+                let read = &before[..before.len() - rest.len()];
+                // The last frame has no text where there is nothing to say, but can be sent one.
+                let is_same = again == read || matches!(frame, Frame::End { .. });
+                assert!(is_same && again.len() as u64 <= 3 * (MAX_MESSAGE_LEN + 8));
+            }
+            Err(error) => {
+                let kinds = [ErrorKind::UnexpectedEof, ErrorKind::InvalidData];
+                return assert!(kinds.contains(&error.kind()), "{error}");
+            }
+        }
+    }
 }
 
 fn read(opened: Result<Capture, CaptureError>) {

@@ -23,7 +23,7 @@ pub const ALL: [(&str, Run); 17] = [
     ("status_stream", packets::status_stream),
     ("capture", captures::capture),
     ("bag", captures::capture),
-    ("database", captures::database),
+    ("frames", captures::frames),
     ("frame", captures::frame),
     ("db_xml", texts::db_xml),
     ("ros_yaml", texts::ros_yaml),

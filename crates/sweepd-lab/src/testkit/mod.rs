@@ -1,10 +1,12 @@
 //! Shared by the tests and `sweepd-lab soak`: a temporary domain, reserved ports, a daemon in a process
-//! of its own, and packet streams made by hand.
+//! of its own, packet streams and messages made by hand, and programs that are built elsewhere.
 
 pub mod daemon;
 pub mod domain;
+pub mod mutate;
 pub mod port;
 pub mod process;
+pub mod scan;
 pub mod stream;
 pub mod tool;
 
