@@ -219,7 +219,7 @@ pub fn datagram(payload: &[u8], arrival_ns: i64) -> Datagram<'_> {
 }
 
 impl Run {
-    /// Pushes packets as they arrived; an HDL-64E has the calibration of [`unit`].
+    /// Pushes packets as they arrived; an HDL-64E has the calibration of [`unit()`].
     pub fn of(config: Config, arrived: &[Sent]) -> Self {
         let payloads: Vec<_> = arrived
             .iter()

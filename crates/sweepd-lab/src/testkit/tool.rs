@@ -172,12 +172,8 @@ mod tests {
             make(&root.join(source), 1001);
             refused(&format!("is older than {}", root.join(source).display()));
             make(&root.join(source), 1000);
-            // What it is not made of.
+            // Another program of the package is no part of it.
             make(&bin.join("sweepd-other.rs"), 1002);
-            make(
-                &root.join("crates/sweepd-ros2/src/only.rs"),
-                1002 * u64::from(name != "sweepd-ros2"),
-            );
             assert_eq!(built(&folder, root, name).unwrap(), folder.join(name));
         }
     }
