@@ -3,15 +3,17 @@
 
     python3 crates/sweepd-lab/count_lines.py
 
-prints them for each room, for the whole, and for what a robot builds; and how many functions have more than 60 lines, and how
-many closures are used as functions, tuples unpacked side by side, and parameters packed.
+prints them for each room, for the whole, and for each package that .ci/release ships, with all of ours that it is built from; and
+how many functions have more than 60 lines, and how many closures are used as functions, tuples unpacked side by side, and
+parameters packed.
 """
 
+import json
 import re
+import subprocess
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-ROBOT = ("src", "crates/sweepd-core", "crates/sweepd-client")
 TESTS = re.compile(r"(^|/)(\w+_tests?|tests?|testutil|testing|test_scene)\.rs$|/testkit/stream\.rs$|/tests/|/examples/")
 TEST_MODULE = re.compile(r"#\[cfg\(test\)\]\s*(?:pub(?:\(\w+\))? )?mod \w+ \{.*\Z", re.S)
 IDIOMS = {
@@ -44,8 +46,21 @@ def room(path):
     parts = path.relative_to(ROOT).parts
     if parts[0] == "crates":
         return "/".join(parts[:2])
-    name = parts[1].removesuffix(".rs")
-    return f"src/{name}/lab" if parts[2:3] == ("lab",) else f"src/{name}"
+    return f"src/{parts[1].removesuffix('.rs')}"
+
+
+def shipped():
+    """The packages of a release, and the crates of ours that each is built from."""
+    command = ["cargo", "metadata", "--format-version", "1", "--no-deps"]
+    members = json.loads(subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout)["packages"]
+    uses = {one["name"]: {d["name"] for d in one["dependencies"] if d["kind"] != "dev"} for one in members}
+    release = (ROOT / ".ci/release").read_text()
+    for package in re.search(r"^for package in (.*); do$", release, re.M)[1].split():
+        crates, more = set(), {package}
+        while more:
+            crates |= more
+            more = {name for crate in more for name in uses[crate] if name in uses} - crates
+        yield package, crates
 
 
 rooms, idioms, long = {}, dict.fromkeys(IDIOMS, 0), []
@@ -59,8 +74,12 @@ for folder in ("src", "crates"):
 
 for name, count in sorted(rooms.items(), key=lambda one: -one[1]):
     print(f"{count:6} {name}")
-robot = sum(n for name, n in rooms.items() if name.startswith(ROBOT) and not name.endswith("/lab"))
-print(f"{sum(rooms.values()):6} all\n{robot:6} what a robot builds\n")
+print(f"{sum(rooms.values()):6} all\n")
+for package, crates in shipped():
+    folders = {"src" if crate == "sweepd" else f"crates/{crate}" for crate in crates}
+    lines = sum(n for name, n in rooms.items() if name in folders or name.split("/")[0] in folders)
+    print(f"{lines:6} built for the package {package}")
+print()
 for name, count in idioms.items():
     print(f"{count:6} {name}")
 print(f"{len(long):6} functions of more than 60 lines")
