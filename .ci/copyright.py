@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Prints the copyright file of the Debian package: the licence of sweepd, and those of all crates in its programs, with
+"""Prints the copyright file of the Debian packages: the licence of sweepd, and those of all crates in its programs, with
 their texts from the crates' own sources. A text that several crates have is printed once."""
 
 import json
@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-PROGRAMS = ["sweepd", "sweepd-ros2"]
+PROGRAMS = ["sweepd", "sweepd-ros2", "sweepd-tools"]
 # Licence files at the top of a crate, by the beginnings of their names.
 NAMES = ("license", "licence", "copying", "copyright", "notice", "unlicense")
 

@@ -21,5 +21,5 @@ from ._replay import replay
 from ._sweep import Sweep
 from .layout import LayoutError, SweepdError
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 __all__ = ["ROS", "Client", "LayoutError", "Objects", "ObjectsMessage", "Sweep", "SweepdError", "layout", "replay"]
