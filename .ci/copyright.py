@@ -57,7 +57,7 @@ def main():
     for package in crates:
         authors = ", ".join(package["authors"])
         print(f"  {package['name']} {package['version']}: {package['license'] or 'see below'}" + f" ({authors})" * bool(authors))
-    print("\nThe standard library of Rust is MIT OR Apache-2.0 (The Rust Project contributors).")
+    print("\nThe standard library of Rust is MIT OR Apache-2.0 (The Rust Project contributors), SQLite is in the public domain.")
     if without:
         print("\nOf these the sources have no text; that of another crate below with the same licence holds:\n")
         for package in without:

@@ -125,7 +125,7 @@ fn a_scan_becomes_packets_a_calibration_and_a_truth() {
 }
 
 #[test]
-fn the_same_turn_comes_again_and_the_status_holds_the_calibration_yaml() {
+fn the_same_turn_comes_again_and_the_status_holds_the_calibration() {
     let scan = Scan::new("from_cloud_long");
     let capture = scan.folder.path("long.pcap.gz");
     let ran = scan.simulate(&[

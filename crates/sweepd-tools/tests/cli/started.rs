@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::io::{BufRead, BufReader};
-use std::os::unix::fs::{PermissionsExt, symlink};
+use std::os::unix::fs::symlink;
 use std::os::unix::process::ExitStatusExt;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -13,23 +13,33 @@ use sweepd_lab::testkit::{Signal, tool};
 use crate::common::program;
 use crate::{Folder, Ran, sweepd};
 
-/// A copy of `sweepd` in a folder of its own, so that no tool is beside it.
+/// A folder in which programs run: where `sweepd` is, so that it can be linked.
+fn programs() -> Folder {
+    Folder(tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap())
+}
+
+/// `sweepd` in a folder of its own, so that no tool is beside it.
 fn alone(folder: &Folder) -> Command {
-    let copy = folder.path("sweepd");
-    fs::copy(program(), &copy).unwrap();
-    let mut command = Command::new(copy);
+    let link = folder.path("sweepd");
+    if !link.exists() {
+        fs::hard_link(program(), &link).unwrap();
+    }
+    let mut command = Command::new(link);
     command.env("PATH", "");
     command
 }
 
+/// Makes a program. The shell writes it: a file that this process has open could not be run.
 fn script(path: &Path, lines: &str) {
-    fs::write(path, format!("#!/bin/sh\n{lines}\n")).unwrap();
-    fs::set_permissions(path, fs::Permissions::from_mode(0o755)).unwrap();
+    let write = r#"printf '#!/bin/sh\n%s\n' "$1" > "$0" && chmod +x "$0""#;
+    let mut shell = Command::new("sh");
+    let written = shell.args(["-c", write]).arg(path).arg(lines).status();
+    assert!(written.unwrap().success());
 }
 
 #[test]
 fn a_tool_gets_the_same_arguments_and_gives_its_exit_status() {
-    let folder = Folder::new("tool");
+    let folder = programs();
     let mut command = alone(&folder);
     script(
         &folder.path("sweepd-view"),
@@ -44,7 +54,7 @@ fn a_tool_gets_the_same_arguments_and_gives_its_exit_status() {
 
 #[test]
 fn a_signal_ends_the_tool_for_it_is_the_process() {
-    let folder = Folder::new("tool-signal");
+    let folder = programs();
     let mut command = alone(&folder);
     script(&folder.path("sweepd-lab"), "echo $$; exec sleep 60");
     let mut child = command
@@ -65,7 +75,7 @@ fn a_signal_ends_the_tool_for_it_is_the_process() {
 
 #[test]
 fn a_missing_tool_is_one_error_that_names_the_package_and_the_command() {
-    let folder = Folder::new("tool-missing");
+    let folder = programs();
     for command in TOOLS {
         let mut sweepd = alone(&folder);
         let ran = Ran::of(sweepd.arg(command.name).output().unwrap());
@@ -82,7 +92,7 @@ fn a_missing_tool_is_one_error_that_names_the_package_and_the_command() {
 
 #[test]
 fn a_tool_is_found_on_path_and_no_other_name_is_run() {
-    let folder = Folder::new("tool-path");
+    let folder = programs();
     let bin = folder.path("bin");
     fs::create_dir(&bin).unwrap();
     symlink(tool("sweepd-lab"), bin.join("sweepd-lab")).unwrap();
@@ -106,7 +116,7 @@ fn a_tool_is_found_on_path_and_no_other_name_is_run() {
 
 #[test]
 fn the_commands_are_listed_and_completed_with_their_options_where_they_are_installed() {
-    let folder = Folder::new("tool-list");
+    let folder = programs();
     let list = sweepd(&["--help"]).done();
     let script = |with: &str| {
         let mut command = alone(&folder);
