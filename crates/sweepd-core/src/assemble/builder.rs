@@ -3,7 +3,7 @@
 use fearless_simd::{Simd, dispatch};
 
 use super::clock::{Clocks, SensorClock};
-use super::cursor::{Cursor, HeadTravel, MissingFirings};
+use super::cursor::{Cursor, HeadTravel, MissingFirings, Placing};
 use super::decode::Decoder;
 use super::fov_edge::HeadSpeed;
 use super::head_tracker::{HeadEvent, HeadTracker};
@@ -200,21 +200,9 @@ impl Builder {
     /// Starts to place the next packet. The one before must have been placed.
     pub fn begin(&mut self, index: usize, packet: &OrderedPacket, before: PacketGap) {
         let spec = self.decoder.spec;
-        let mut cursor = Cursor {
-            packet: index,
-            timing: FiringTiming::new(spec, packet.mode),
-            rate_rad_s: rate_rad_s(packet, spec),
-            new_run: before == PacketGap::Start,
-            jumped: before == PacketGap::Start,
-            skips_sector: before == PacketGap::Blanked,
-            missing: None,
-            placed: 0,
-            turned: false,
-            counted: false,
-            from_cut: false,
-        };
-        let lasted_ns = packet.time_ns - self.last_firing_ns;
-        cursor.new_run |= lasted_ns > LONGEST_GAP_NS;
+        let jumped = before == PacketGap::Start;
+        let mut is_new_run = jumped || packet.time_ns - self.last_firing_ns > LONGEST_GAP_NS;
+        let mut missing = None;
         if let PacketGap::Lost {
             packets,
             travelled_cdeg,
@@ -224,9 +212,9 @@ impl Builder {
         {
             self.lost += u64::from(packets);
             let firings = packets as usize * spec.firings_per_packet(packet.mode);
-            cursor.new_run |= travelled_cdeg.abs() >= TURN || firings >= COLUMNS_CAPACITY;
+            is_new_run |= travelled_cdeg.abs() >= TURN || firings >= COLUMNS_CAPACITY;
             match self.head.last_cdeg() {
-                Some(from_cdeg) if !cursor.new_run => {
+                Some(from_cdeg) if !is_new_run => {
                     let travel = HeadTravel {
                         from_cdeg,
                         from_ns: self.last_firing_ns,
@@ -234,11 +222,11 @@ impl Builder {
                         silence,
                         is_exact,
                     };
-                    cursor.missing = Some(MissingFirings::new(&travel, firings, packet, spec));
+                    missing = Some(MissingFirings::new(&travel, firings, packet, spec));
                 }
                 // A whole turn is missing: there is nothing to fill.
                 _ => {
-                    cursor.new_run = true;
+                    is_new_run = true;
                     if let Some(open) = &mut self.open {
                         open.lost += packets;
                         open.lost_is_estimated |= !is_exact;
@@ -246,10 +234,21 @@ impl Builder {
                 }
             }
         }
-        if !cursor.new_run {
+        if !is_new_run {
             self.note_arrival(packet);
         }
-        self.cursor = Some(cursor);
+        self.cursor = Some(Cursor {
+            packet: index,
+            timing: FiringTiming::new(spec, packet.mode),
+            rate_rad_s: rate_rad_s(packet, spec),
+            skips_sector: before == PacketGap::Blanked,
+            missing,
+            placed: 0,
+            placing: match is_new_run {
+                true => Placing::EndOfRun { jumped },
+                false => Placing::Turn,
+            },
+        });
     }
 
     fn note_arrival(&mut self, packet: &OrderedPacket) {
@@ -271,11 +270,12 @@ impl Builder {
         let Some(mut cursor) = self.cursor else {
             return false;
         };
-        if std::mem::take(&mut cursor.new_run) {
+        if let Placing::EndOfRun { jumped } = cursor.placing {
+            cursor.placing = Placing::Turn;
             self.head.lose();
             self.cursor = Some(cursor);
             let is_complete = self.close(false, clock, buffer);
-            if cursor.jumped {
+            if jumped {
                 self.clocks.sensor_jumped();
             }
             self.note_arrival(packet);
@@ -285,9 +285,10 @@ impl Builder {
         }
         loop {
             let end = self.fill(&mut cursor, packet, buffer);
-            cursor.counted = false;
             // The next sweep is opened by its first firing: this one's buffer is still in use.
-            cursor.from_cut = end != FillEnd::NewRun;
+            cursor.placing = Placing::Open {
+                from_cut: end != FillEnd::NewRun,
+            };
             self.cursor = (end != FillEnd::PacketDone).then_some(cursor);
             let is_complete = match end {
                 FillEnd::PacketDone => return false,
@@ -308,7 +309,8 @@ impl Builder {
         buffer: &mut dyn OpenBuffer,
     ) -> FillEnd {
         if self.open.is_none() {
-            self.open(packet, cursor.from_cut, buffer);
+            let from_cut = cursor.placing == Placing::Open { from_cut: true };
+            self.open(packet, from_cut, buffer);
         }
         let Ok(mut sweep) = SweepMut::open(buffer.bytes()) else {
             return FillEnd::PacketDone;
@@ -333,7 +335,7 @@ impl Builder {
             open.newest_arrival_ns = packet.arrival_ns;
         }
         while let Some(firing) = cursor.firing(packet) {
-            if !std::mem::replace(&mut cursor.turned, true) {
+            if cursor.placing == Placing::Turn {
                 let turned = match firing.skips_sector {
                     true => self.head.skip_sector(
                         firing.azimuth_cdeg,
@@ -357,7 +359,8 @@ impl Builder {
                     HeadEvent::Continues | HeadEvent::NewRun => return FillEnd::NewRun,
                 }
             }
-            if firing.index.is_some() && !std::mem::replace(&mut cursor.counted, true) {
+            if firing.index.is_some() && open.newest_packet != Some(packet.number) {
+                open.newest_packet = Some(packet.number);
                 open.packets += 1;
             }
             open.place(
@@ -374,7 +377,7 @@ impl Builder {
             );
             self.last_firing_ns = firing.time_ns;
             cursor.placed += 1;
-            cursor.turned = false;
+            cursor.placing = Placing::Turn;
         }
         FillEnd::PacketDone
     }

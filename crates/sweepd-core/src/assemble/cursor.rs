@@ -12,21 +12,29 @@ pub struct Cursor {
     pub timing: FiringTiming,
     /// How fast the head turns, radians a second.
     pub rate_rad_s: f32,
-    /// The run ends before this packet.
-    pub new_run: bool,
-    /// It has no relation to the clock of the packets before.
-    pub jumped: bool,
     /// The first firing is beyond a sector that was left out.
     pub skips_sector: bool,
     pub missing: Option<MissingFirings>,
     /// Firings placed, missing ones first.
     pub placed: usize,
-    /// The head has turned to the current firing already: it opens a sweep.
-    pub turned: bool,
-    /// The packet is counted in the open sweep.
-    pub counted: bool,
-    /// The current firing is the first behind a cut.
-    pub from_cut: bool,
+    pub placing: Placing,
+}
+
+/// What is next for the firing at hand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Placing {
+    /// A run ended before this packet: its sweep is closed.
+    EndOfRun {
+        /// The packet has no relation to the clock of those before.
+        jumped: bool,
+    },
+    /// The head turns to it.
+    Turn,
+    /// The head has turned to it: it opens a sweep.
+    Open {
+        /// It is the first behind a cut.
+        from_cut: bool,
+    },
 }
 
 /// The head's travel over a gap.

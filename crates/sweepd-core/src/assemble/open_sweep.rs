@@ -38,6 +38,8 @@ pub struct OpenSweep {
     pub last_progress_cdeg: f64,
     pub blanked: bool,
     pub packets: u32,
+    /// Number of the packet that was counted last: the one at a cut counts in both sweeps.
+    pub newest_packet: Option<u64>,
     pub lost: u32,
     /// The stamps do not tell exactly how many were lost.
     pub lost_is_estimated: bool,
@@ -85,6 +87,7 @@ impl OpenSweep {
             last_progress_cdeg: 0.0,
             blanked: false,
             packets: 0,
+            newest_packet: None,
             lost: 0,
             lost_is_estimated: false,
             missing: 0,
