@@ -1,5 +1,5 @@
 //! What each ingredient of the default method is worth by itself: prints the tables of
-//! `docs/segmentation.md`.
+//! `docs/lab/segmentation.md`.
 //!
 //! ```text
 //! cargo run --release --example ablation -- ../shared/data/labelled/semantickitti

@@ -1,5 +1,5 @@
 //! How good labels are where the truth is known to the point: prints the tables of simulated scenes
-//! in `docs/segmentation.md`.
+//! in `docs/lab/segmentation.md`.
 //!
 //! ```text
 //! cargo run --release --example simulated_scores

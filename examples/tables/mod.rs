@@ -1,4 +1,4 @@
-//! The figures that the tables of `docs/segmentation.md` show.
+//! The figures that the tables of `docs/lab/segmentation.md` show.
 
 use sweepd_lab::score::{Group, ScanScore, Summary};
 

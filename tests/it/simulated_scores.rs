@@ -17,7 +17,7 @@ fn instances(scores: &[ScanScore]) -> InstanceCounts {
     all
 }
 
-/// Of the parking lot the leads in PQ over all seeds are 0.25 and 0.175 (`docs/segmentation.md`);
+/// Of the parking lot the leads in PQ over all seeds are 0.25 and 0.175 (`docs/lab/segmentation.md`);
 /// seeds differ.
 #[test]
 fn sparse_sensors_see_more_things_by_the_default_method_than_by_the_papers() {

@@ -1,10 +1,9 @@
-//! The naive twin of the default segmentation: the same labels, written from docs/segmentation.md
-//! alone.
+//! The naive twin of the default segmentation: the same labels, written from "The method"
+//! in docs/segmentation.md and from docs/rules.md alone.
 //!
-//! It states the rules of "The method" and of "Exact arithmetic" there as directly as they can be
-//! said: queues and `Vec`s of pixels, plain loops, one number at a time. Of `sweepd_core::segment`
-//! it takes the [`Config`], whose mask says what it hides, and nothing else: a fault of a helper
-//! there is not in both. Nothing in the program calls it: the tests and benches hold the segmenter
+//! It states the rules of both pages as directly as they can be said: queues and `Vec`s of pixels,
+//! plain loops, one number at a time. Of `sweepd_core::segment` it takes the [`Config`], whose mask
+//! says what it hides, and nothing else: a fault of a helper there is not in both. Nothing in the program calls it: the tests and benches hold the segmenter
 //! against it, on real and on random images.
 //!
 //! ```text
