@@ -151,7 +151,7 @@ impl View {
             "sensors": sensors,
             "ports": ports,
             "recording": self.recordings.configured.as_ref().map(recording),
-            "asked_recordings": self.recordings.asked.iter().map(recording).collect::<Vec<_>>(),
+            "asked_recordings": self.recordings.on_demand.iter().map(recording).collect::<Vec<_>>(),
         });
         (is_well, report)
     }

@@ -186,9 +186,9 @@ impl Snapshot {
     fn recordings(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
         let RecordingsStatus {
             configured,
-            asked,
-            asked_datagrams,
-            asked_refused,
+            on_demand,
+            on_demand_datagrams,
+            on_demand_refused,
         } = &self.recordings;
         let unwritten = "Datagrams that found no room, since the disk is too slow or failed";
         if let Some(one) = configured {
@@ -202,14 +202,19 @@ impl Snapshot {
             single(encoder, "recording_failed", help, Now(has_failed.into()))?;
         }
         let help = "Recordings under way for sweepd record --from";
-        single(encoder, "asked_recordings", help, Now(asked.len() as f64))?;
+        single(
+            encoder,
+            "asked_recordings",
+            help,
+            Now(on_demand.len() as f64),
+        )?;
         let help = "Datagrams written for sweepd record --from";
-        single(encoder, "asked_recorded", help, Total(*asked_datagrams))?;
+        single(encoder, "asked_recorded", help, Total(*on_demand_datagrams))?;
         single(
             encoder,
             "asked_unrecorded",
             unwritten,
-            Total(*asked_refused),
+            Total(*on_demand_refused),
         )
     }
 

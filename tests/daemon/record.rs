@@ -455,7 +455,7 @@ fn signal(child: &Child, name: &str) {
 }
 
 #[test]
-fn an_asked_recording_holds_what_was_sent_however_it_ends() {
+fn a_recording_on_demand_holds_what_was_sent_however_it_ends() {
     let daemon = Daemon::start("asked", &roof(98), "");
     for (name, end) in [
         ("int.pcap", "-INT"),

@@ -37,7 +37,7 @@ use crate::capture::record::{Feed, RecordCounts, Recorder};
 use crate::capture::{RecordError, write::Addressed};
 
 /// Most clients that are served at a time.
-pub const MAX_ASKED: usize = 4;
+pub const MAX_ON_DEMAND: usize = 4;
 /// In this time each port thread drops its feed of a recording that ends: it rests for half a
 /// second at most.
 const RELEASE_TIME: Duration = Duration::from_secs(2);
@@ -155,7 +155,7 @@ impl Event {
 
 /// Why one client more is refused.
 fn too_many() -> String {
-    format!("the daemon has {MAX_ASKED} recordings under way, as many as it allows; stop one")
+    format!("the daemon has {MAX_ON_DEMAND} recordings under way, as many as it allows; stop one")
 }
 
 /// How all recordings are, for other threads.
@@ -164,11 +164,11 @@ pub struct RecordingsStatus {
     /// That of the configuration, if there is to be one.
     pub configured: Option<RecordingStatus>,
     /// Those that clients asked for.
-    pub asked: Vec<RecordingStatus>,
+    pub on_demand: Vec<RecordingStatus>,
     /// Datagrams that were written for clients, since the start.
-    pub asked_datagrams: u64,
+    pub on_demand_datagrams: u64,
     /// Datagrams that were not, since the disk was too slow or failed.
-    pub asked_refused: u64,
+    pub on_demand_refused: u64,
 }
 
 /// All recordings.
@@ -340,9 +340,9 @@ impl Recordings {
     pub fn status(&self) -> RecordingsStatus {
         let mut status = RecordingsStatus {
             configured: None,
-            asked: Vec::new(),
-            asked_datagrams: self.ended_datagrams,
-            asked_refused: self.ended_refused,
+            on_demand: Vec::new(),
+            on_demand_datagrams: self.ended_datagrams,
+            on_demand_refused: self.ended_refused,
         };
         let mut counts: Vec<&RecordCounts> = Vec::new();
         for ending in &self.ending {
@@ -358,14 +358,14 @@ impl Recordings {
             }
             let one = recording.status(&self.sensors);
             if !recording.is_configured() {
-                status.asked.push(one);
+                status.on_demand.push(one);
             } else if status.configured.is_none() {
                 status.configured = Some(one);
             }
         }
         for count in counts {
-            status.asked_datagrams += count.written.load(Ordering::Relaxed);
-            status.asked_refused += count.refused.load(Ordering::Relaxed);
+            status.on_demand_datagrams += count.written.load(Ordering::Relaxed);
+            status.on_demand_refused += count.refused.load(Ordering::Relaxed);
         }
         status
     }
@@ -404,7 +404,7 @@ impl Recordings {
     fn ask(&mut self, request: Request, client: Client) {
         let sensor = self.sensors.iter().position(|one| *one == request.sensor);
         let target = match sensor {
-            Some(sensor) => Target::asked(sensor, request),
+            Some(sensor) => Target::on_demand(sensor, request),
             None => {
                 let mut names = self.sensors.clone();
                 names.sort_unstable();
@@ -416,9 +416,9 @@ impl Recordings {
             }
         };
         // Those whose clients have gone count as long as the disk keeps them from beginning.
-        let asked = self.list.iter().filter(|one| !one.is_configured()).count();
+        let on_demand = self.list.iter().filter(|one| !one.is_configured()).count();
         match target {
-            Ok(_) if asked >= MAX_ASKED => client.refuse(too_many()),
+            Ok(_) if on_demand >= MAX_ON_DEMAND => client.refuse(too_many()),
             Ok(target) if self.list.iter().any(|one| one.target.path == target.path) => {
                 let path = target.path.display();
                 client.refuse(format!(

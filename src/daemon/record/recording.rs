@@ -68,7 +68,7 @@ impl Target {
     }
 
     /// A sensor, as a client wants it.
-    pub(super) fn asked(sensor: usize, request: Request) -> Result<Self, String> {
+    pub(super) fn on_demand(sensor: usize, request: Request) -> Result<Self, String> {
         if !request.path.is_absolute() {
             return Err(format!("{} is no absolute path", request.path.display()));
         }

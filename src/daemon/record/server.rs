@@ -1,6 +1,6 @@
 //! The control socket: `sweepd record --from` asks for recordings here. Only the daemon's own user
 //! may open it. It is served on the control thread, which waits for no client: at most
-//! [`MAX_ASKED`] at a time, messages of bounded length, and what a client does not take is left
+//! [`MAX_ON_DEMAND`] at a time, messages of bounded length, and what a client does not take is left
 //! out.
 
 use std::fs;
@@ -19,7 +19,7 @@ use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
 
 use super::protocol::{Connection, Reply, Request};
 use super::recording::Client;
-use super::{Event, MAX_ASKED, too_many};
+use super::{Event, MAX_ON_DEMAND, too_many};
 use sweepd_client::host::{own_uid, user_name};
 
 /// How long a client may take to say what it wants, and to read what its recording came to.
@@ -66,7 +66,7 @@ impl ControlServer {
     /// [`SocketError`].
     pub fn start(path: &Path, events: UnboundedSender<Event>) -> Result<Self, SocketError> {
         let mut socket = Socket::listen(path)?;
-        let places = Arc::new(Semaphore::new(MAX_ASKED));
+        let places = Arc::new(Semaphore::new(MAX_ON_DEMAND));
         let free = Arc::clone(&places);
         let task = tokio::spawn(async move {
             loop {
@@ -85,7 +85,7 @@ impl ControlServer {
     /// long.
     pub async fn finish(self) {
         self.task.abort();
-        let all = self.places.acquire_many(MAX_ASKED as u32);
+        let all = self.places.acquire_many(MAX_ON_DEMAND as u32);
         let _ = timeout(FAREWELL_TIME, all).await;
     }
 }

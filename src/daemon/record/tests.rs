@@ -225,7 +225,7 @@ async fn is_recorded_in_the_order_of_arrival() -> bool {
     let files = (0..3).map(|number| daemon.read(&format!("roof-00{number}.pcap")));
     assert!(files.flatten().eq(expected));
     assert_eq!(ended.written.files, 3);
-    assert_eq!(daemon.recordings.status().asked_datagrams, 2_040);
+    assert_eq!(daemon.recordings.status().on_demand_datagrams, 2_040);
     true
 }
 
@@ -234,7 +234,7 @@ async fn a_client_that_is_killed_ends_its_recording_and_leaves_it_whole() {
     let mut daemon = Daemon::start("killed");
     let recording = daemon.begin(&daemon.request("roof.pcap.gz")).await.unwrap();
     daemon.ports[0].receive(0, 2368, 5, &data_packet(1));
-    assert_eq!(daemon.recordings.status().asked.len(), 1);
+    assert_eq!(daemon.recordings.status().on_demand.len(), 1);
     drop(recording);
     let begun = Instant::now();
     while !daemon.recordings.list.is_empty() || !daemon.recordings.ending.is_empty() {
@@ -376,7 +376,7 @@ fn a_folder_that_the_daemon_may_not_write_to_is_named_with_the_cure() {
 async fn clients_are_few_and_hostile_ones_keep_nobody_waiting() {
     let mut daemon = Daemon::start("hostile");
     let mut silent = Vec::new();
-    for _ in 0..MAX_ASKED {
+    for _ in 0..MAX_ON_DEMAND {
         silent.push(
             UnixStream::connect(socket_path(&daemon.folder))
                 .await
@@ -411,7 +411,7 @@ async fn clients_are_few_and_hostile_ones_keep_nobody_waiting() {
             .contains("does not understand")
     );
     let mut recordings = Vec::new();
-    for number in 0..MAX_ASKED - 1 {
+    for number in 0..MAX_ON_DEMAND - 1 {
         let request = daemon.request(&format!("{number}.pcap"));
         recordings.push(daemon.begin(&request).await.unwrap());
     }
@@ -466,8 +466,8 @@ async fn a_client_that_goes_before_the_beginning_replaces_nothing() {
     let stream = UnixStream::connect(socket_path(&daemon.folder)).await;
     let mut connection = Connection::new(stream.unwrap());
     connection.send(&request).await.unwrap();
-    let asked = daemon.recordings.next_event().await;
-    daemon.recordings.handle(asked);
+    let on_demand = daemon.recordings.next_event().await;
+    daemon.recordings.handle(on_demand);
     // It is begun, and the control thread does not know yet; the client goes first.
     drop(connection);
     let begun = daemon.recordings.next_event().await;

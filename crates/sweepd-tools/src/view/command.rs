@@ -13,7 +13,7 @@ use sweepd::publish::is_sensor_name;
 use sweepd_core::pipeline;
 use sweepd_core::sensor::Model;
 
-use super::source::reader::{Origin, Recipe};
+use super::source::reader::{Origin, SourceConfig};
 use super::source::simulation::Simulation;
 use super::{Source, serve};
 
@@ -76,8 +76,8 @@ pub fn run(args: &Args) -> Result<(), CliError> {
                 segment: segment.clone(),
                 ..pipeline::Config::default()
             };
-    let recipe = |origin| {
-        Box::new(Recipe {
+    let source_config = |origin| {
+        Box::new(SourceConfig {
             origin,
             config,
             filters: args.sensor.sensor.clone(),
@@ -87,12 +87,12 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         None if let Some(model) = args.simulate => {
             let simulation = Simulation::new(model, sweepd_lab::simulate::Setting::Street);
             Source::Capture {
-                recipe: recipe(Origin::Simulation(Arc::new(simulation))),
+                source_config: source_config(Origin::Simulation(Arc::new(simulation))),
                 is_endless: true,
             }
         }
         Some(path) if !args.is_sensor(path)? => Source::Capture {
-            recipe: recipe(Origin::Capture(path.to_owned())),
+            source_config: source_config(Origin::Capture(path.to_owned())),
             is_endless: args.is_endless,
         },
         _ if of_capture => {

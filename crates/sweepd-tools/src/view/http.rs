@@ -30,7 +30,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::timeout;
 use tokio_tungstenite::tungstenite::handshake::derive_accept_key;
 
-use super::stage::Hall;
+use super::channels::Channels;
 use super::{page, socket};
 use sweepd::http::{self, PATIENCE, ip_of, is_localhost, response, text};
 
@@ -43,16 +43,16 @@ const PAGES: usize = 8;
 pub(super) struct Server {
     listener: TcpListener,
     address: SocketAddr,
-    hall: Hall,
+    channels: Channels,
     pages: Arc<Semaphore>,
 }
 
 impl Server {
-    pub(super) fn new(listener: TcpListener, address: SocketAddr, hall: Hall) -> Arc<Self> {
+    pub(super) fn new(listener: TcpListener, address: SocketAddr, channels: Channels) -> Arc<Self> {
         Arc::new(Self {
             listener,
             address,
-            hall,
+            channels,
             pages: Arc::new(Semaphore::new(PAGES)),
         })
     }
@@ -164,12 +164,12 @@ impl Server {
             let full = format!("{PAGES} pages are open, and no more may be: close one");
             return text(StatusCode::SERVICE_UNAVAILABLE, &full);
         };
-        let hall = self.hall.clone();
+        let channels = self.channels.clone();
         let upgrade = hyper::upgrade::on(&mut request);
         let place = Arc::clone(place);
         tokio::spawn(async move {
             if let Ok(Ok(upgraded)) = timeout(PATIENCE, upgrade).await {
-                socket::converse(TokioIo::new(upgraded), hall).await;
+                socket::converse(TokioIo::new(upgraded), channels).await;
             }
             drop((page, place));
         });

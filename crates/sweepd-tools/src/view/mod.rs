@@ -1,7 +1,7 @@
 //! `sweepd view`: sweeps on a page in a browser.
 //!
 //! ```text
-//! source (a thread)                    stage            server (tasks)
+//! source (a thread)                   channels          server (tasks)
 //! capture, simulation, sensor  ──────>  newest  ──────>  http, socket, tuning  ──────> pages
 //!                              <──────  commands <──────
 //! ```
@@ -9,21 +9,21 @@
 //! A consumer like any other, in a process of its own: the daemon serves no page, and a browser
 //! holds up nothing but its own socket.
 
+mod channels;
 mod command;
 mod http;
 mod page;
 mod socket;
 pub(crate) mod source;
-mod stage;
 mod tuning;
 
 pub use command::{Args, run};
 
 use std::net::{SocketAddr, TcpListener};
 
+use self::channels::Kind;
 use self::http::Server;
-use self::source::reader::{Origin, Recipe};
-use self::stage::Kind;
+use self::source::reader::{Origin, SourceConfig};
 use sweepd::cli::CliError;
 use sweepd_client::client::Domain;
 use sweepd_core::segment;
@@ -32,7 +32,7 @@ use sweepd_core::segment;
 pub(crate) enum Source {
     /// A capture or a simulation.
     Capture {
-        recipe: Box<Recipe>,
+        source_config: Box<SourceConfig>,
         /// Begins again at the end.
         is_endless: bool,
     },
@@ -47,7 +47,7 @@ impl Source {
     /// Its kind and its name.
     fn kind(&self) -> (Kind, String) {
         match self {
-            Self::Capture { recipe, .. } => match &recipe.origin {
+            Self::Capture { source_config, .. } => match &source_config.origin {
                 Origin::Capture(path) => (Kind::Capture, path.display().to_string()),
                 Origin::Simulation(simulation) => (Kind::Simulation, simulation.name()),
             },
@@ -71,7 +71,7 @@ pub(crate) fn serve(
     address: SocketAddr,
     ready: impl FnOnce() -> Result<(), CliError>,
 ) -> Result<(), CliError> {
-    let (running, hall) = source::start(source, segment)?;
+    let (running, channels) = source::start(source, segment)?;
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .max_blocking_threads(2)
@@ -80,7 +80,7 @@ pub(crate) fn serve(
     let served = runtime.block_on(async {
         listener.set_nonblocking(true).map_err(system)?;
         let listener = tokio::net::TcpListener::from_std(listener).map_err(system)?;
-        let server = Server::new(listener, address, hall);
+        let server = Server::new(listener, address, channels);
         let ended = end()?;
         ready()?;
         tokio::select! {

@@ -20,8 +20,8 @@ use tokio_tungstenite::WebSocketStream;
 use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::protocol::{Role, WebSocketConfig};
 
-use super::stage::{Command, Frame, Hall};
-use super::tuning::{self, Tuner, Wish};
+use super::channels::{Channels, Command, Frame};
+use super::tuning::{self, Tuner, TuningRequest};
 
 /// Time limit for a page to take a message.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -41,7 +41,7 @@ enum Request {
     Speed { factor: f64 },
     Seek { index: u64 },
     Choose { sensor: String },
-    Tune(Wish),
+    Tune(TuningRequest),
     Configuration,
 }
 
@@ -49,14 +49,14 @@ enum Request {
 struct Gone;
 
 /// Talks with a page until it is gone.
-pub(super) async fn converse(stream: TokioIo<Upgraded>, hall: Hall) {
+pub(super) async fn converse(stream: TokioIo<Upgraded>, channels: Channels) {
     let limits = WebSocketConfig::default()
         .max_message_size(Some(MESSAGE_BYTES))
         .max_frame_size(Some(MESSAGE_BYTES));
     let stream = WebSocketStream::from_raw_socket(stream, Role::Server, Some(limits)).await;
     let page = Page {
         stream,
-        hall,
+        channels,
         is_ready: true,
         last: None,
         missed: 0,
@@ -69,7 +69,7 @@ pub(super) async fn converse(stream: TokioIo<Upgraded>, hall: Hall) {
 
 struct Page {
     stream: WebSocketStream<TokioIo<Upgraded>>,
-    hall: Hall,
+    channels: Channels,
     /// It has drawn what it was sent.
     is_ready: bool,
     /// The sweep that it was sent last.
@@ -99,9 +99,9 @@ async fn tuned(tuning: &mut Tuning) -> Option<(Box<Tuner>, Result<Bytes, String>
 
 impl Page {
     async fn run(mut self) {
-        self.hall.description.mark_changed();
-        self.hall.state.mark_changed();
-        self.hall.frame.mark_changed();
+        self.channels.description.mark_changed();
+        self.channels.state.mark_changed();
+        self.channels.frame.mark_changed();
         let mut second = interval(Duration::from_secs(1));
         second.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
@@ -114,15 +114,15 @@ impl Page {
                     _ => Err(Gone),
                 },
                 tuned = tuned(&mut self.tuning) => self.show_tuned(tuned).await,
-                changed = self.hall.description.changed() => match changed {
+                changed = self.channels.description.changed() => match changed {
                     Ok(()) => self.describe().await,
                     Err(_) => Err(Gone),
                 },
-                changed = self.hall.state.changed() => match changed {
+                changed = self.channels.state.changed() => match changed {
                     Ok(()) => self.state().await,
                     Err(_) => Err(Gone),
                 },
-                changed = self.hall.frame.changed(), if is_ready => match changed {
+                changed = self.channels.frame.changed(), if is_ready => match changed {
                     Ok(()) => self.show().await,
                     Err(_) => Err(Gone),
                 },
@@ -153,14 +153,14 @@ impl Page {
                 self.is_ready = true;
                 return Ok(());
             }
-            Ok(Request::Tune(wish)) => return self.tune(&wish).await,
+            Ok(Request::Tune(request)) => return self.tune(&request).await,
             Ok(Request::Configuration) => return self.configuration().await,
             Ok(Request::Play) => Command::Play,
             Ok(Request::Pause) => Command::Pause,
             Ok(Request::Step { by }) => Command::Step(by.clamp(-1, 1)),
             Ok(Request::Seek { index }) => Command::Seek(index),
             Ok(Request::Choose { sensor }) => {
-                if !self.hall.description.borrow().sensors.contains(&sensor) {
+                if !self.channels.description.borrow().sensors.contains(&sensor) {
                     return self.refuse("there is no such sensor").await;
                 }
                 Command::Choose(sensor)
@@ -173,7 +173,7 @@ impl Page {
                     .await;
             }
         };
-        match self.hall.commands.try_send(command) {
+        match self.channels.commands.try_send(command) {
             Ok(()) => Ok(()),
             Err(_) => self.refuse("too many commands at once").await,
         }
@@ -201,7 +201,7 @@ impl Page {
     }
 
     async fn describe(&mut self) -> Result<(), Gone> {
-        let description = self.hall.description.borrow_and_update().clone();
+        let description = self.channels.description.borrow_and_update().clone();
         let mut message = json!(description);
         message["settings"] = tuning::settings(&description.segment);
         message["methods"] = tuning::methods();
@@ -210,13 +210,13 @@ impl Page {
     }
 
     async fn state(&mut self) -> Result<(), Gone> {
-        let message = json!(*self.hall.state.borrow_and_update());
+        let message = json!(*self.channels.state.borrow_and_update());
         self.say("state", message).await
     }
 
     /// Sends the newest sweep.
     async fn show(&mut self) -> Result<(), Gone> {
-        let Some(frame) = self.hall.frame.borrow_and_update().clone() else {
+        let Some(frame) = self.channels.frame.borrow_and_update().clone() else {
             self.untuned = false;
             return match self.last.take() {
                 Some(_) => self.say("empty", json!({})).await,
@@ -248,9 +248,9 @@ impl Page {
         self.send(Message::Binary(bytes.clone())).await
     }
 
-    async fn tune(&mut self, wish: &Wish) -> Result<(), Gone> {
-        let base = self.hall.description.borrow().segment.clone();
-        match wish.config(&base) {
+    async fn tune(&mut self, request: &TuningRequest) -> Result<(), Gone> {
+        let base = self.channels.description.borrow().segment.clone();
+        match request.config(&base) {
             Ok(config) => {
                 self.untuned = config.is_some() && self.last.is_some();
                 self.config = config;
@@ -306,7 +306,7 @@ impl Page {
     async fn configuration(&mut self) -> Result<(), Gone> {
         let text = match &self.config {
             Some(config) => tuning::lines(config),
-            None => tuning::lines(&self.hall.description.borrow().segment),
+            None => tuning::lines(&self.channels.description.borrow().segment),
         };
         self.say("configuration", json!({ "text": text })).await
     }

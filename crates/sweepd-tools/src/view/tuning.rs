@@ -6,7 +6,7 @@ use hyper::body::Bytes;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use super::stage::{packed, sweep_bytes};
+use super::channels::{packed, sweep_bytes};
 use sweepd_client::host::monotonic_ns;
 use sweepd_core::buffers::HeapBuffer;
 use sweepd_core::buffers::HeapBuffers;
@@ -21,12 +21,12 @@ const METHODS: [(&str, Method); 2] = [("slope", Method::Slope), ("paper", Method
 
 /// What a page asks for; what it does not name stays as it is.
 #[derive(Clone, Debug, Deserialize)]
-pub(super) struct Wish {
+pub(super) struct TuningRequest {
     method: Option<String>,
     settings: Option<BTreeMap<String, Option<f64>>>,
 }
 
-impl Wish {
+impl TuningRequest {
     /// The configuration that it makes of another one; none where it ends the tuning.
     ///
     /// # Errors

@@ -31,8 +31,8 @@ fn a_tuned_sweep_is_that_of_a_sensor_configured_so() {
     let mut page = view.page();
     page.pause();
     let untuned = page.seek(1);
-    let wish = json!({ "theta_deg": 20, "min_points": 3 });
-    let tuned = tune(&mut page, wish.clone());
+    let request = json!({ "theta_deg": 20, "min_points": 3 });
+    let tuned = tune(&mut page, request.clone());
     assert_eq!(tuned.index(), 1);
     let expected_sweep = SweepRef::open(expected[1].as_ref()).unwrap();
     assert!(tuned.sweep().label == expected_sweep.label);
@@ -44,7 +44,7 @@ fn a_tuned_sweep_is_that_of_a_sensor_configured_so() {
     assert_eq!(same.sweep().segments, untuned.sweep().segments);
 
     // From now on each comes twice.
-    tune(&mut page, wish);
+    tune(&mut page, request);
     page.ask(json!({ "do": "seek", "index": 0 }));
     let pair = [page.sweep(), page.sweep()];
     assert_eq!([0, 1].map(|one| pair[one].index()), [0, 0]);
@@ -98,7 +98,7 @@ fn what_no_sensor_could_be_set_to_is_refused() {
     let view = View::start(&[&fixture("street_vlp16.pcap.gz")]);
     let mut page = view.page();
     page.pause();
-    for (wish, why) in [
+    for (request, why) in [
         (
             json!({ "settings": { "theta_deg": 90.5 } }),
             "theta_deg: expected 0 to 90 degrees",
@@ -128,9 +128,9 @@ fn what_no_sensor_could_be_set_to_is_refused() {
             "the method is slope or paper",
         ),
     ] {
-        let mut wish = wish;
-        wish["do"] = "tune".into();
-        page.ask(wish);
+        let mut request = request;
+        request["do"] = "tune".into();
+        page.ask(request);
         let refused = page.next("refused");
         let text = refused["text"].as_str().unwrap();
         assert!(text.starts_with(why), "{text}");

@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 
-use super::reader::{Reader, Recipe, Step};
-use crate::view::stage::{Description, Mark, describe};
+use super::reader::{Reader, SourceConfig, Step};
+use crate::view::channels::{Description, Mark, describe};
 use sweepd::text::count_of;
 use sweepd_core::sweep::layout::flags;
 use sweepd_core::sweep::{Header, SweepRef};
@@ -30,13 +30,13 @@ struct Found {
 /// Makes the index until `is_over`, and describes the sensor that is chosen; when it is complete,
 /// follows the choice.
 pub(super) fn make(
-    recipe: &Recipe,
+    source_config: &SourceConfig,
     chosen: &AtomicUsize,
     to: &watch::Sender<Description>,
     is_over: impl Fn() -> bool,
 ) {
     // The player says why it cannot be opened.
-    let Ok(mut reader) = Reader::open(recipe) else {
+    let Ok(mut reader) = Reader::open(source_config) else {
         return;
     };
     let mut found: HashMap<usize, Found> = HashMap::new();

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use crate::view::stage::{Command, Kind, Stage, State, packed, sweep_bytes};
+use crate::view::channels::{Command, Kind, Publisher, State, packed, sweep_bytes};
 use sweepd::cli::CliError;
 use sweepd_client::client::{Client, Domain};
 use sweepd_client::host::realtime_ns;
@@ -22,7 +22,7 @@ const NEWS: Duration = Duration::from_secs(5);
 
 /// Follows a sensor.
 pub(super) struct Live {
-    stage: Stage,
+    publisher: Publisher,
     domain: Domain,
     name: Option<String>,
     client: Option<Client>,
@@ -59,10 +59,10 @@ struct Counts {
 }
 
 impl Live {
-    pub(super) fn new(stage: Stage, domain: Domain, name: Option<String>) -> Self {
+    pub(super) fn new(publisher: Publisher, domain: Domain, name: Option<String>) -> Self {
         Self {
-            base: stage.description().segment,
-            stage,
+            base: publisher.description().segment,
+            publisher,
             domain,
             name,
             client: None,
@@ -78,9 +78,9 @@ impl Live {
 
     /// Follows until the end of the program.
     pub(super) fn run(mut self) {
-        while !self.stage.is_over() {
+        while !self.publisher.is_over() {
             self.list();
-            while let Ok(command) = self.stage.commands.try_recv() {
+            while let Ok(command) = self.publisher.commands.try_recv() {
                 if let Command::Choose(name) = command {
                     self.choose(name);
                 }
@@ -99,8 +99,8 @@ impl Live {
         if self.name.as_ref() == Some(&name) {
             return;
         }
-        self.stage.clear();
-        self.stage.describe(|now| {
+        self.publisher.clear();
+        self.publisher.describe(|now| {
             now.kind = Kind::Sensor;
             now.name.clone_from(&name);
             now.segment.clone_from(&self.base);
@@ -126,7 +126,7 @@ impl Live {
         if let ([only], true) = (&names[..], self.name.is_none()) {
             self.choose(only.clone());
         }
-        self.stage.describe(|now| now.sensors = names);
+        self.publisher.describe(|now| now.sensors = names);
     }
 
     /// Waits for a sweep, but not for long, and shows it.
@@ -154,7 +154,7 @@ impl Live {
             && let Ok(view) = SweepRef::open(&bytes)
         {
             let missed = self.count(view.header);
-            self.stage.show(None, missed, bytes);
+            self.publisher.show(None, missed, bytes);
         }
         Ok(())
     }
@@ -190,7 +190,7 @@ impl Live {
     /// What the daemon segments with, as far as sweeps tell it.
     fn note_mount(&self, header: &Header) {
         let is_known = header.height_m > 0.0 && !header.has(flags::HEIGHT_ESTIMATED);
-        self.stage.describe(|now| {
+        self.publisher.describe(|now| {
             let mount = &mut now.segment.mount;
             mount.pitch_rad = header.pitch_rad;
             mount.roll_rad = header.roll_rad;
@@ -202,7 +202,7 @@ impl Live {
 
     fn tell(&self) {
         let (words, ok) = self.words();
-        self.stage.tell(State {
+        self.publisher.tell(State {
             words,
             ok,
             playing: ok,
@@ -237,7 +237,7 @@ impl Live {
         }
         let root = self.domain.root().display();
         let Some(name) = &self.name else {
-            let none = self.stage.description().sensors.is_empty();
+            let none = self.publisher.description().sensors.is_empty();
             return match none {
                 true => (
                     format!(

@@ -1,4 +1,4 @@
-//! Where sweeps come from: a thread that shows them on a [stage](super::stage).
+//! Where sweeps come from: a thread that shows them by [channels](super::channels).
 
 mod index;
 mod live;
@@ -17,7 +17,7 @@ use self::player::Player;
 use self::reader::Origin;
 use self::reader::Reader;
 use super::Source;
-use super::stage::{Description, Hall, Kind, State, stage};
+use super::channels::{Channels, Description, Kind, State, channels};
 use sweepd::cli::CliError;
 use sweepd_core::segment;
 
@@ -37,11 +37,14 @@ impl Drop for Running {
     }
 }
 
-/// Starts a source; the hall is for the server.
+/// Starts a source; the channels are for the server.
 ///
 /// # Errors
 /// [`CliError`]: it cannot be opened, or the system has no thread.
-pub(super) fn start(source: Source, segment: segment::Config) -> Result<(Running, Hall), CliError> {
+pub(super) fn start(
+    source: Source,
+    segment: segment::Config,
+) -> Result<(Running, Channels), CliError> {
     let over = Arc::new(AtomicBool::new(false));
     let (kind, name) = source.kind();
     let description = Description {
@@ -60,39 +63,42 @@ pub(super) fn start(source: Source, segment: segment::Config) -> Result<(Running
         speed: 1.0,
         facts: BTreeMap::new(),
     };
-    let (stage, hall) = stage(description, state, Arc::clone(&over));
+    let (publisher, channels) = channels(description, state, Arc::clone(&over));
     let mut running = Running {
         over: Arc::clone(&over),
         threads: Vec::new(),
     };
     match source {
         Source::Sensor { domain, name } => {
-            let live = Live::new(stage, domain, name);
+            let live = Live::new(publisher, domain, name);
             running.spawn("live", move || live.run())?;
         }
-        Source::Capture { recipe, is_endless } => {
+        Source::Capture {
+            source_config,
+            is_endless,
+        } => {
             // What is no capture is an error at once.
-            Reader::open(&recipe)?;
-            if let Origin::Simulation(simulation) = &recipe.origin {
+            Reader::open(&source_config)?;
+            if let Origin::Simulation(simulation) = &source_config.origin {
                 let simulation = Arc::clone(simulation);
                 let over = Arc::clone(&over);
                 running.spawn("simulation", move || {
                     simulation.make(|| over.load(Ordering::Relaxed));
                 })?;
             }
-            let describer = stage.describer();
-            let player = Player::new(stage, (*recipe).clone(), is_endless)
+            let describer = publisher.describer();
+            let player = Player::new(publisher, (*source_config).clone(), is_endless)
                 .map_err(|error| CliError::Usage(error.to_string()))?;
             let chosen = player.chosen();
             running.spawn("player", move || player.run())?;
             running.spawn("index", move || {
-                index::make(&recipe, &chosen, &describer, || {
+                index::make(&source_config, &chosen, &describer, || {
                     over.load(Ordering::Relaxed)
                 });
             })?;
         }
     }
-    Ok((running, hall))
+    Ok((running, channels))
 }
 
 impl Running {

@@ -12,8 +12,8 @@ use std::time::{Duration, Instant};
 
 use hyper::body::Bytes;
 
-use super::reader::{Decoded, Labels, Reader, Recipe, Step};
-use crate::view::stage::{Command, Stage, State, packed, sweep_bytes};
+use super::reader::{Decoded, Labels, Reader, SourceConfig, Step};
+use crate::view::channels::{Command, Publisher, State, packed, sweep_bytes};
 use sweepd_core::buffers::HeapBuffer;
 use sweepd_core::buffers::HeapBuffers;
 use sweepd_core::segment::ConfigError;
@@ -30,8 +30,8 @@ const PAUSE_NS: i64 = 10_000_000_000;
 
 /// Plays.
 pub(super) struct Player {
-    stage: Stage,
-    recipe: Recipe,
+    publisher: Publisher,
+    source_config: SourceConfig,
     /// Begins again at the end.
     is_endless: bool,
     labels: Labels,
@@ -72,12 +72,16 @@ enum Found {
 }
 
 impl Player {
-    pub(super) fn new(stage: Stage, recipe: Recipe, is_endless: bool) -> Result<Self, ConfigError> {
+    pub(super) fn new(
+        publisher: Publisher,
+        source_config: SourceConfig,
+        is_endless: bool,
+    ) -> Result<Self, ConfigError> {
         Ok(Self {
-            labels: Labels::new(&recipe.config)?,
+            labels: Labels::new(&source_config.config)?,
             buffers: HeapBuffers::default(),
-            stage,
-            recipe,
+            publisher,
+            source_config,
             is_endless,
             reader: None,
             sensor: Arc::default(),
@@ -104,9 +108,9 @@ impl Player {
 
     /// Plays until the end of the program.
     pub(super) fn run(mut self) {
-        while !self.stage.is_over() {
+        while !self.publisher.is_over() {
             // Of several places to go to, the last one counts.
-            while let Ok(command) = self.stage.commands.try_recv() {
+            while let Ok(command) = self.publisher.commands.try_recv() {
                 self.obey(command);
             }
             let wait = self.advance();
@@ -114,7 +118,7 @@ impl Player {
             let until = Instant::now() + wait;
             loop {
                 let rest = until.saturating_duration_since(Instant::now());
-                match self.stage.commands.recv_timeout(rest) {
+                match self.publisher.commands.recv_timeout(rest) {
                     Ok(command) => self.obey(command),
                     Err(RecvTimeoutError::Timeout) => break,
                     Err(RecvTimeoutError::Disconnected) => return,
@@ -128,7 +132,7 @@ impl Player {
 
     /// Shows what is wanted or due; returns how long there is nothing to do.
     fn advance(&mut self) -> Duration {
-        let playing = self.is_playing && !self.is_at_end && self.stage.is_watched();
+        let playing = self.is_playing && !self.is_at_end && self.publisher.is_watched();
         let next = self.shown.map_or(0, |(index, _)| index + 1);
         let index = match self.wanted {
             Some(index) => index,
@@ -171,7 +175,7 @@ impl Player {
                     self.due = due.max(now.checked_sub(LATE).unwrap_or(now));
                 }
                 self.shown = Some((index, arrival_ns));
-                self.stage.show(Some(index), 0, bytes);
+                self.publisher.show(Some(index), 0, bytes);
                 Duration::ZERO
             }
         }
@@ -195,12 +199,12 @@ impl Player {
             Command::Seek(index) => self.seek(index),
             Command::Speed(factor) => self.speed = factor,
             Command::Choose(name) => {
-                let sensors = self.stage.description().sensors;
+                let sensors = self.publisher.description().sensors;
                 if let Some(sensor) = sensors.iter().position(|sensor| *sensor == name)
                     && sensor != self.sensor()
                 {
                     self.sensor.store(sensor, Ordering::Relaxed);
-                    self.stage
+                    self.publisher
                         .describe(|now| (now.sweeps, now.marks) = (Some(0), Vec::new()));
                     self.restart();
                     self.shown = None;
@@ -259,7 +263,7 @@ impl Player {
 
     fn read(&mut self) -> Option<Step> {
         if self.reader.is_none() && self.lost.is_none() {
-            match Reader::open(&self.recipe) {
+            match Reader::open(&self.source_config) {
                 Ok(reader) => self.reader = Some(reader),
                 Err(error) => self.lost = Some(error.to_string()),
             }
@@ -309,7 +313,7 @@ impl Player {
             _ if self.is_playing => "playing".to_owned(),
             _ => "paused".to_owned(),
         };
-        self.stage.tell(State {
+        self.publisher.tell(State {
             words,
             ok: trouble.is_none(),
             playing: self.is_playing && !self.is_at_end,

@@ -28,7 +28,7 @@ pub(crate) enum Origin {
 
 /// How they become sweeps.
 #[derive(Clone)]
-pub(crate) struct Recipe {
+pub(crate) struct SourceConfig {
     pub(crate) origin: Origin,
     pub(crate) config: Config,
     /// Only these sensors; all, if there are none.
@@ -85,15 +85,15 @@ impl Reader {
     ///
     /// # Errors
     /// [`CaptureError`]: it cannot be opened, or is no capture.
-    pub(super) fn open(recipe: &Recipe) -> Result<Self, CaptureError> {
-        let datagrams = match &recipe.origin {
+    pub(super) fn open(source_config: &SourceConfig) -> Result<Self, CaptureError> {
+        let datagrams = match &source_config.origin {
             Origin::Capture(path) => Datagrams::Capture(Box::new(Capture::open(path)?)),
             Origin::Simulation(simulation) => Datagrams::Simulation(Arc::clone(simulation), 0),
         };
         Ok(Self {
             datagrams,
-            config: recipe.config.clone(),
-            sensors: DiscoveredSensors::new(recipe.filters.clone()),
+            config: source_config.config.clone(),
+            sensors: DiscoveredSensors::new(source_config.filters.clone()),
             tracks: Vec::new(),
             whole: VecDeque::new(),
             before_ns: i64::MAX,

@@ -99,7 +99,7 @@ pub(super) enum Command {
 
 /// The side of the browsers.
 #[derive(Clone)]
-pub(super) struct Hall {
+pub(super) struct Channels {
     pub description: watch::Receiver<Description>,
     pub state: watch::Receiver<State>,
     pub frame: watch::Receiver<Option<Arc<Frame>>>,
@@ -107,7 +107,7 @@ pub(super) struct Hall {
 }
 
 /// The side of the source.
-pub(super) struct Stage {
+pub(super) struct Publisher {
     description: watch::Sender<Description>,
     state: watch::Sender<State>,
     frame: watch::Sender<Option<Arc<Frame>>>,
@@ -116,17 +116,17 @@ pub(super) struct Stage {
     ordinal: u64,
 }
 
-/// A stage without a sweep, and its hall. The source ends when `over` is set.
-pub(super) fn stage(
+/// The two sides of the channels, without a sweep. The source ends when `over` is set.
+pub(super) fn channels(
     description: Description,
     state: State,
     over: Arc<AtomicBool>,
-) -> (Stage, Hall) {
+) -> (Publisher, Channels) {
     let (description, of_description) = watch::channel(description);
     let (state, of_state) = watch::channel(state);
     let (frame, of_frame) = watch::channel(None);
     let (commands, for_commands) = sync_channel(COMMANDS);
-    let stage = Stage {
+    let publisher = Publisher {
         description,
         state,
         frame,
@@ -134,16 +134,16 @@ pub(super) fn stage(
         over,
         ordinal: 0,
     };
-    let hall = Hall {
+    let channels = Channels {
         description: of_description,
         state: of_state,
         frame: of_frame,
         commands,
     };
-    (stage, hall)
+    (publisher, channels)
 }
 
-impl Stage {
+impl Publisher {
     pub(super) fn is_over(&self) -> bool {
         self.over.load(Ordering::Relaxed)
     }
@@ -153,7 +153,7 @@ impl Stage {
         self.description.clone()
     }
 
-    /// Whether any page is open: each has a hall, and so has the server.
+    /// Whether any page is open: each has its channels, and so has the server.
     pub(super) fn is_watched(&self) -> bool {
         self.frame.receiver_count() > 1
     }
