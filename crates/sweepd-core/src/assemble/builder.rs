@@ -179,7 +179,8 @@ impl Builder {
     /// Time of the open sweep's first shot as far as it is known by now, and the clock that it is in.
     pub fn begun_ns(&self, clock: &SensorClock) -> Option<(i64, TimeSource)> {
         let open = self.open.as_ref()?;
-        // What the sweep itself is given is decided when it is complete.
+        // A copy, since `resolve` may move the offset to the host's clock: which offset the sweep
+        // gets is decided when it is complete.
         let mut clocks = self.clocks;
         Some(clocks.resolve(open.first_ns, clock, open.newest_arrival_ns))
     }
@@ -192,6 +193,8 @@ impl Builder {
         let placed = open.columns - open.first_column;
         sweep.header.margin_columns = open.first_column as u32;
         sweep.header.columns = placed as u32;
+        // A turn is segmented from another column on than a part of one, and what may become a turn
+        // is segmented now.
         sweep.header.flags = flags::CIRCULAR;
         sweep.header.sensor_time_ns = open.first_ns;
         Some((sweep, placed.saturating_sub(self.row_offsets.lead())))
@@ -224,7 +227,8 @@ impl Builder {
                     };
                     missing = Some(MissingFirings::new(&travel, firings, packet, spec));
                 }
-                // A whole turn is missing: there is nothing to fill.
+                // Too much is missing to be filled with columns, or from where on is not known. It
+                // counts in the sweep that it ends, if there is one.
                 _ => {
                     is_new_run = true;
                     if let Some(open) = &mut self.open {
@@ -234,6 +238,8 @@ impl Builder {
                 }
             }
         }
+        // The arrival of a packet that begins a run is noted in `advance`, behind the sweep before:
+        // that still has the clock of its own packets.
         if !is_new_run {
             self.note_arrival(packet);
         }
@@ -273,8 +279,10 @@ impl Builder {
         if let Placing::EndOfRun { jumped } = cursor.placing {
             cursor.placing = Placing::Turn;
             self.head.lose();
+            // Kept before the return below: the next call goes on here, with the new sweep.
             self.cursor = Some(cursor);
             let is_complete = self.close(false, clock, buffer);
+            // Before this arrival is noted, which is the first by the new clock and must stay.
             if jumped {
                 self.clocks.sensor_jumped();
             }
@@ -335,6 +343,7 @@ impl Builder {
             open.newest_arrival_ns = packet.arrival_ns;
         }
         while let Some(firing) = cursor.firing(packet) {
+            // Once a firing: one that ended the sweep comes again as the first of the next.
             if cursor.placing == Placing::Turn {
                 let turned = match firing.skips_sector {
                     true => self.head.skip_sector(
@@ -346,6 +355,7 @@ impl Builder {
                     false => self.head.turn(firing.azimuth_cdeg, firing.time_ns),
                 };
                 match turned {
+                    // At the cut no room is needed: a sweep that is full there is a whole turn.
                     HeadEvent::Continues if open.has_room(&firing, row_offsets) => {}
                     HeadEvent::Cut | HeadEvent::MovedCut => {
                         // A sector that reaches over the cut is left out of both sweeps.
@@ -494,6 +504,7 @@ impl Builder {
             return false;
         };
         if open.is_empty() {
+            // Consumers take a number that is left out for a sweep that they missed.
             self.sequence -= 1;
             return false;
         }
@@ -529,6 +540,7 @@ impl Builder {
         header.packets = open.packets;
         header.returns = open.returns;
         header.decode_ns = u32::try_from(std::mem::take(&mut self.decode_ns)).unwrap_or(u32::MAX);
+        // After `flags`, which compares the sweep's speed with that of the one before.
         if open.travelled_cdeg() > RPM_TELLING_CDEG {
             self.last_rpm = Some(open.rpm());
             let sense = if self.head.reversed() { -1.0 } else { 1.0 };

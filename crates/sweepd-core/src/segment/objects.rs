@@ -264,6 +264,7 @@ impl Objects {
             return;
         }
         self.slots.resize(components.pieces(), NONE);
+        // First, or a run would begin a second entry for a component that has another root by now.
         self.unite(simd, components);
         self.add_runs(simd, &strip, components);
         let Strip {
@@ -276,12 +277,16 @@ impl Objects {
         // No window of a later strip reaches further back.
         let reached = position + STRIP - MOST_COLUMNS;
         self.followed = position + STRIP;
+        // The pitch of a single column is 0, and is divided by.
         let most_columns = (self.max_width_rad / pitch_rad.max(1e-6)) as usize;
         for index in 0..self.open.len() {
             let open = &mut self.open[index];
             let is_behind = open.whole.last < reached;
+            // These columns come again at the end of the turn, and may be joined to what ends
+            // there.
             let is_at_seam = open.whole.first < STRIP + BEFORE;
             open.has_ended = is_behind && !is_at_seam;
+            // The last part waits for no small ones: it is the whole that has them, with the sweep.
             let is_wide = open.part.columns() > most_columns || open.is_parted && is_behind;
             if is_wide && open.sum.points >= min_points.max(1) {
                 open.is_parted = true;
@@ -296,6 +301,8 @@ impl Objects {
         for index in 0..self.open.len() {
             let open = self.open[index];
             let is_small = components.is_small(open.root);
+            // A small one that nothing takes is an object by itself, if it has enough points. One
+            // that was given away is told as part of the other.
             let is_known = if is_small {
                 open.is_settled && open.nearest.root == NONE
             } else {
@@ -413,12 +420,15 @@ impl Objects {
     /// Finds which small components have ended and become part of which others, and which others
     /// wait for small ones.
     fn settle(&mut self, components: &mut Components) {
+        // Anew each time: with this strip, components may have grown, or have become one.
         for open in &mut self.open {
             open.nearest = Nearest::NONE;
             open.waits = !open.has_ended;
         }
         self.take_notes(components);
         self.find_nearest(components);
+        // In this order: small ones that are certain are given away first, and then the others wait
+        // only for those that are left.
         self.wait_for_nearer(components);
         self.settle_small(components);
         self.wait_for_small(components);
@@ -427,6 +437,8 @@ impl Objects {
     /// Takes the notes that are new, and drops those of components that are not small any more.
     fn take_notes(&mut self, components: &mut Components) {
         let (nears, thinned) = components.nears();
+        // Thinned notes stand in another order: all are taken once more. Some are there twice then,
+        // which changes nothing.
         if self.taken.1 != thinned {
             self.taken = (0, thinned);
         }
@@ -464,7 +476,8 @@ impl Objects {
             let nearest = self.open[slot].nearest;
             let has_ended = self.has_ended(note.large);
             let may_grow = !has_ended && components.is_small(note.large);
-            // Of two as near, that with the lower first pixel: it is known when both have ended.
+            // Of two that are as near, the one with the lower first pixel takes it. Until both have
+            // ended, either may be joined to something with a lower one.
             let is_tied = note.apart2 == nearest.apart2
                 && note.large != nearest.root
                 && !(has_ended && self.has_ended(nearest.root));
@@ -516,6 +529,7 @@ impl Objects {
         components: &mut Components,
     ) -> (Sum, Extent) {
         let (mut sum, mut whole) = (components.sum(open.root), open.whole);
+        // As `Components::finish` adds them: in another order the last bits of the sums differ.
         self.gifts.sort_unstable_by_key(|gift| gift.small);
         self.gifts.retain(|gift| {
             let is_here = components.root(gift.large) == open.root;
@@ -556,7 +570,10 @@ impl Objects {
         self.is_followed = false;
         let mut labels = self.labels.take().unwrap_or_default();
         labels.clear();
+        // Without a height nothing is ground, so that a segment may be the floor: none is told.
         let mut is_told = vec![!has_height; sweep.segments.len()];
+        // An image that did not become a turn is widened at its beginning, so that its pixels have
+        // other numbers than when objects were told.
         let moved = i64::from(self.margin) - i64::from(sweep.header.margin_columns);
         for object in &self.told {
             let pixel = i64::from(object.first_pixel) + moved * sweep.rows() as i64;
@@ -642,7 +659,8 @@ fn object(sum: &Sum, extent: &Extent, reason: u32, order: Order, sweep: &SweepRe
     segment.column_last = column(extent.last) as u32;
     let shot = |shot: Shot| {
         let beam = &sweep.beams[shot.row];
-        // All that has been taken was fired, as far as rows are shifted as in the turn before.
+        // The firing has come, with one exception: around the cut, pixels of the turn before have
+        // the shifts of this turn, and may then seem to be fired later than the newest column.
         let firing = sweep.columns.get(column(shot.firing));
         firing.or(sweep.columns.last()).map_or((0.0, 0), |firing| {
             let time_ns = firing.time_ns.saturating_add(beam.time_offset_ns);

@@ -186,6 +186,8 @@ impl Windows {
     #[inline(always)]
     pub fn find_small(&mut self, runs: &Runs, components: &mut Components) {
         for [starts, ends] in &mut self.small {
+            // Ends are looked at twelve columns late, so those of the strip before are still
+            // needed.
             *starts = 0;
             *ends >>= STRIP;
         }
@@ -223,11 +225,15 @@ impl Windows {
                     let here_m = ranges.metres[hit.pixel];
                     for (down, lane, near) in hit.rows(side, limits.window(row)) {
                         for ahead in Bits(u64::from(near & open)) {
+                            // Labels are renewed only where a window joined them: two that differ
+                            // may be of one component.
                             let large = components.root(runs.piece(lane + ahead));
                             if large != small {
                                 let columns = side.back().abs_diff(ahead);
                                 let ranges_m = [here_m, ranges.metres[lane + ahead]];
                                 let rows = [row, row.wrapping_add_signed(down)];
+                                // In metres: in steps many would be as near as each other, and the
+                                // labels would depend on where the turn begins.
                                 let apart2 = limits.apart2(rows, ranges_m, columns);
                                 components.note_near(small, large, apart2);
                             }
@@ -304,9 +310,13 @@ impl Windows {
                 let there = runs.flat.load(simd, lane);
                 let is_other = !runs.label.load::<S, u16x16<S>>(simd, lane).simd_eq(mine);
                 let near = (near(here, there, along) & is_other).to_bitmask() as u16;
+                // A selection after the work and no branch before it: which rows are too far apart
+                // changes from pixel to pixel, so that a branch would be mispredicted.
                 *hit = if flat <= row.furthest { near } else { 0 };
                 holds |= *hit;
             }
+            // The next window overwrites one that holds nothing. There is room for one such more
+            // than there are columns.
             count += usize::from(holds != 0);
         }
         count
@@ -325,6 +335,7 @@ fn unite<S: Simd>(
 ) {
     let mine = u16x16::splat(simd, runs.label[pixel]);
     let mut others: u16x16<S> = runs.label.load(simd, lane);
+    // Again, since the scan: the windows before this one may have joined them.
     near &= !(others.simd_eq(mine).to_bitmask() as u16);
     while near != 0 {
         let other = lane + near.trailing_zeros() as usize;
@@ -333,5 +344,7 @@ fn unite<S: Simd>(
         near &= !(these.to_bitmask() as u16);
         others = these.select(mine, others);
     }
+    // Else each later window finds the same pixels again, which takes up to ten times as long in
+    // images of noise.
     runs.label.store(lane, others);
 }
