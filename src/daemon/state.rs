@@ -628,7 +628,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_speed_is_reported_once_and_makes_the_sensor_unwell() {
+    fn a_wrong_speed_is_reported_once_and_is_a_fault_of_the_sensor() {
         let mut roof = Watched::new(Some(600));
         assert_eq!(roof.observe(5, 75, 1).len(), 1);
         roof.turn(Running {
