@@ -9,7 +9,7 @@
 
 use std::ffi::CString;
 use std::io;
-use std::mem::{MaybeUninit, size_of};
+use std::mem::{self, offset_of, size_of};
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::{AsRawFd, BorrowedFd};
 use std::ptr;
@@ -67,6 +67,13 @@ impl DatagramBuffer {
     }
 }
 
+/// What the kernel is given for a batch: where to write the sources, the bytes, and the rest.
+type Tables = (
+    [libc::sockaddr_in; BATCH],
+    [libc::iovec; BATCH],
+    [libc::mmsghdr; BATCH],
+);
+
 /// Receives a batch (recvmmsg(2)): if `waits`, blocks for the first datagram up to the socket's own
 /// timeout, then takes those that are there. Gives the number of buffers that were filled.
 ///
@@ -79,12 +86,8 @@ pub(super) fn receive(
 ) -> io::Result<usize> {
     const NAME_LEN: u32 = size_of::<libc::sockaddr_in>() as u32;
     let count = buffers.len().min(BATCH);
-    // SAFETY: all three are C structs of numbers and pointers, for which zeroes are a value.
-    let mut names: [libc::sockaddr_in; BATCH] = unsafe { MaybeUninit::zeroed().assume_init() };
-    // SAFETY: as above.
-    let mut parts: [libc::iovec; BATCH] = unsafe { MaybeUninit::zeroed().assume_init() };
-    // SAFETY: as above.
-    let mut headers: [libc::mmsghdr; BATCH] = unsafe { MaybeUninit::zeroed().assume_init() };
+    // SAFETY: all are C structs of numbers and pointers, for which zeroes are a value.
+    let (names, parts, headers): &mut Tables = &mut unsafe { mem::zeroed() };
     for (index, buffer) in buffers[..count].iter_mut().enumerate() {
         parts[index] = libc::iovec {
             iov_base: buffer.bytes.as_mut_ptr().cast(),
@@ -123,11 +126,8 @@ pub(super) fn receive(
     for (index, buffer) in buffers[..filled].iter_mut().enumerate() {
         buffer.len = headers[index].msg_len as usize;
         buffer.source = address(&names[index]);
-        let header = &mut headers[index].msg_hdr;
-        // The pointer that the kernel was given is older than this borrow, and may not be read
-        // through.
-        header.msg_control = buffer.control.as_mut_ptr().cast();
-        buffer.meta = control(header);
+        let written: usize = headers[index].msg_hdr.msg_controllen as _;
+        buffer.meta = RecvMeta::of(Messages(&buffer.control[..written.min(CONTROL_LEN)]));
     }
     Ok(filled)
 }
@@ -139,56 +139,55 @@ fn address(name: &libc::sockaddr_in) -> SocketAddrV4 {
     )
 }
 
-/// Whether a control message is long enough for its payload of `len` bytes.
-#[allow(
-    clippy::unnecessary_cast,
-    reason = "other C libraries have other types"
-)]
-fn has(message: &libc::cmsghdr, len: usize) -> bool {
-    // SAFETY: only a length is computed.
-    message.cmsg_len as usize >= unsafe { libc::CMSG_LEN(len as u32) } as usize
+/// The control messages as the kernel writes them (cmsg(3)): level, type and data of each. They end
+/// at one that is cut, or that says it is longer than what is left.
+struct Messages<'a>(&'a [u8]);
+
+impl<'a> Iterator for Messages<'a> {
+    type Item = (libc::c_int, libc::c_int, &'a [u8]);
+
+    fn next(&mut self) -> Option<Self::Item> {
+        const WORD: usize = size_of::<usize>();
+        let len = usize::from_ne_bytes(bytes_at(self.0, 0)?);
+        let level = libc::c_int::from_ne_bytes(bytes_at(self.0, WORD)?);
+        let kind = libc::c_int::from_ne_bytes(bytes_at(self.0, WORD + 4)?);
+        let data = self.0.get(WORD + 8..len)?;
+        self.0 = self.0.get(len.next_multiple_of(WORD)..).unwrap_or(&[]);
+        Some((level, kind, data))
+    }
 }
 
-/// The control messages (cmsg(3)) of a header that the kernel has filled in.
-#[allow(
-    clippy::unnecessary_cast,
-    clippy::useless_conversion,
-    reason = "other C libraries and 32 bits have other types"
-)]
-fn control(header: &libc::msghdr) -> RecvMeta {
-    let mut meta = RecvMeta::default();
-    // SAFETY: `msg_control` points to the aligned control bytes of a buffer that the caller
-    // borrows, and `msg_controllen` is how many of them the kernel wrote.
-    let mut next = unsafe { libc::CMSG_FIRSTHDR(header) };
-    // SAFETY: the macros of cmsg(3) give a pointer to a whole message header in the buffer, or
-    // null.
-    while let Some(message) = unsafe { next.as_ref() } {
-        // SAFETY: only an address is computed.
-        let data = unsafe { libc::CMSG_DATA(next) };
-        match (message.cmsg_level, message.cmsg_type) {
-            (libc::SOL_SOCKET, libc::SCM_TIMESTAMPNS)
-                if has(message, size_of::<libc::timespec>()) =>
-            {
-                // SAFETY: the message is as long as that, and any bytes are two numbers.
-                let time = unsafe { data.cast::<libc::timespec>().read_unaligned() };
-                meta.stamp_ns =
-                    Some(i64::from(time.tv_sec) * 1_000_000_000 + i64::from(time.tv_nsec));
+impl RecvMeta {
+    /// What the control messages say. One that is too short for its kind says nothing.
+    fn of(messages: Messages<'_>) -> Self {
+        let mut meta = Self::default();
+        for (level, kind, data) in messages {
+            match (level, kind) {
+                (libc::SOL_SOCKET, libc::SCM_TIMESTAMPNS) => meta.stamp_ns = nanoseconds(data),
+                (libc::SOL_SOCKET, libc::SO_RXQ_OVFL) => {
+                    meta.dropped = bytes_at(data, 0).map(u32::from_ne_bytes);
+                }
+                (libc::IPPROTO_IP, libc::IP_PKTINFO) => {
+                    let address = bytes_at(data, offset_of!(libc::in_pktinfo, ipi_addr));
+                    meta.destination = address.map(Ipv4Addr::from_octets);
+                }
+                _ => {}
             }
-            (libc::SOL_SOCKET, libc::SO_RXQ_OVFL) if has(message, size_of::<u32>()) => {
-                // SAFETY: as above, one number.
-                meta.dropped = Some(unsafe { data.cast::<u32>().read_unaligned() });
-            }
-            (libc::IPPROTO_IP, libc::IP_PKTINFO) if has(message, size_of::<libc::in_pktinfo>()) => {
-                // SAFETY: as above, a struct of numbers.
-                let info = unsafe { data.cast::<libc::in_pktinfo>().read_unaligned() };
-                meta.destination = Some(Ipv4Addr::from(u32::from_be(info.ipi_addr.s_addr)));
-            }
-            _ => {}
         }
-        // SAFETY: `next` is a message of this header.
-        next = unsafe { libc::CMSG_NXTHDR(header, next) };
+        meta
     }
-    meta
+}
+
+/// The nanoseconds of a timespec.
+#[allow(clippy::useless_conversion, reason = "32 bits have other types")]
+fn nanoseconds(timespec: &[u8]) -> Option<i64> {
+    let of_second = bytes_at(timespec, offset_of!(libc::timespec, tv_nsec))?;
+    let seconds = i64::from(libc::time_t::from_ne_bytes(bytes_at(timespec, 0)?));
+    Some(seconds * 1_000_000_000 + i64::from(libc::c_long::from_ne_bytes(of_second)))
+}
+
+fn bytes_at<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
+    bytes.get(at..)?.first_chunk().copied()
 }
 
 /// Makes the kernel add to each datagram its arrival (SO_TIMESTAMPNS), the number of dropped ones
@@ -265,5 +264,44 @@ pub(super) fn interface_index(name: &str) -> io::Result<u32> {
     match unsafe { libc::if_nametoindex(name.as_ptr()) } {
         0 => Err(io::Error::last_os_error()),
         index => Ok(index),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HEADER: usize = size_of::<usize>() + 8;
+
+    fn message(len: usize, kind: libc::c_int, data: &[u8]) -> Vec<u8> {
+        let level = libc::SOL_SOCKET.to_ne_bytes();
+        [&len.to_ne_bytes()[..], &level, &kind.to_ne_bytes(), data].concat()
+    }
+
+    fn meta(bytes: &[u8]) -> RecvMeta {
+        RecvMeta::of(Messages(bytes))
+    }
+
+    #[test]
+    fn control_messages_that_are_cut_or_lie_about_their_length_say_nothing() {
+        let nothing = RecvMeta::default();
+        let count = 7_u32.to_ne_bytes();
+        let padded = [1; size_of::<usize>()];
+        let foreign = message(HEADER + 1, libc::SCM_RIGHTS, &padded);
+        let drops = message(HEADER + 4, libc::SO_RXQ_OVFL, &count);
+        let both = [foreign, drops].concat();
+        assert_eq!(meta(&both).dropped, Some(7));
+        for len in 0..both.len() {
+            assert_eq!(meta(&both[..len]), nothing, "{len} bytes");
+        }
+        for len in [0, HEADER - 1, HEADER, HEADER + 3, HEADER + 5, usize::MAX] {
+            let lies = message(len, libc::SO_RXQ_OVFL, &count);
+            assert_eq!(meta(&lies), nothing, "{len}");
+        }
+        let stamp = [0; size_of::<libc::timespec>()];
+        let short = message(HEADER + stamp.len() - 1, libc::SCM_TIMESTAMPNS, &stamp);
+        assert_eq!(meta(&short), nothing);
+        let whole = message(HEADER + stamp.len(), libc::SCM_TIMESTAMPNS, &stamp);
+        assert_eq!(meta(&whole).stamp_ns, Some(0));
     }
 }
