@@ -1,37 +1,29 @@
-//! System calls that no safe crate here offers: a thread's core and scheduler, and waiting on two
-//! sockets.
+//! A thread's core and scheduler, and waiting on two sockets.
 
 #![allow(unsafe_code)]
 
 use std::io;
-use std::mem::{MaybeUninit, size_of};
-use std::os::fd::{AsFd, AsRawFd};
+use std::os::fd::AsFd;
 use std::time::Duration;
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::thread::{CpuSet, sched_setaffinity};
 
 /// Keeps the calling thread on one core.
 ///
 /// # Errors
 /// The error of the system, such as for a core that does not exist.
 pub fn pin_to_core(core: usize) -> io::Result<()> {
-    if core >= libc::CPU_SETSIZE as usize {
+    if core >= CpuSet::MAX_CPU {
         return Err(io::ErrorKind::InvalidInput.into());
     }
-    // SAFETY: a cpu_set_t is an array of integers, for which zeroes are a value.
-    let mut cores: libc::cpu_set_t = unsafe { MaybeUninit::zeroed().assume_init() };
-    // SAFETY: `core` was checked to lie within the set.
-    unsafe { libc::CPU_SET(core, &mut cores) };
-    // SAFETY: `cores` has the size that is stated and is only read; 0 is the calling thread.
-    let result =
-        unsafe { libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &raw const cores) };
-    if result == 0 {
-        Ok(())
-    } else {
-        Err(io::Error::last_os_error())
-    }
+    let mut cores = CpuSet::new();
+    cores.set(core);
+    Ok(sched_setaffinity(None, &cores)?)
 }
 
 /// Gives the calling thread a priority under SCHED_FIFO, 1 to 99: it runs before all threads of
-/// lower priority.
+/// lower priority. No safe crate here offers that.
 ///
 /// # Errors
 /// The error of the system; `PermissionDenied` without CAP_SYS_NICE or a limit that allows it.
@@ -49,21 +41,13 @@ pub fn set_realtime_priority(priority: u8) -> io::Result<()> {
 }
 
 /// Waits until one of two descriptors is readable, or its other end is closed (poll(2)), at most
-/// `timeout`, rounded up to whole milliseconds. A signal ends it too.
+/// `timeout`. A signal ends it too.
 pub fn wait_for_either(one: impl AsFd, other: impl AsFd, timeout: Duration) {
-    let mut both = [one.as_fd(), other.as_fd()].map(|fd| libc::pollfd {
-        fd: fd.as_raw_fd(),
-        events: libc::POLLIN,
-        revents: 0,
-    });
-    let ms = timeout
-        .as_nanos()
-        .div_ceil(1_000_000)
-        .try_into()
-        .unwrap_or(libc::c_int::MAX);
-    // SAFETY: the kernel reads and writes as many entries as the array has while the call lasts;
-    // the descriptors are borrowed for longer.
-    unsafe { libc::poll(both.as_mut_ptr(), both.len() as libc::nfds_t, ms) };
+    let mut both = [
+        PollFd::new(&one, PollFlags::IN),
+        PollFd::new(&other, PollFlags::IN),
+    ];
+    let _ = poll(&mut both, Timespec::try_from(timeout).ok().as_ref());
 }
 
 #[cfg(test)]

@@ -1,10 +1,14 @@
 //! Examines this host.
 
 use std::fs;
+use std::io;
+use std::net::Ipv4Addr;
 use std::path::Path;
 
+use getifaddrs::{Address, InterfaceFilter};
+use rustix::fs::{Access, access};
+
 use super::observe::{Host, Interface, RootTrouble};
-use super::sys;
 use crate::publish::{self, Domain};
 
 /// Examines this host; `root` is the folder of iceoryx2's files, if not the default. Leaves out
@@ -20,7 +24,7 @@ pub fn look(root: Option<&Path>) -> Host {
 
 /// Those that are up, and those that are down and have a plug.
 fn interfaces() -> Vec<Interface> {
-    let addresses = sys::addresses().unwrap_or_default();
+    let addresses = addresses().unwrap_or_default();
     let entries = fs::read_dir("/sys/class/net")
         .into_iter()
         .flatten()
@@ -34,12 +38,12 @@ fn interfaces() -> Vec<Interface> {
                 |what: &str| fs::read_to_string(format!("/sys/class/net/{name}/{what}")).ok();
             let flags = file("flags")
                 .and_then(|text| u32::from_str_radix(text.trim().strip_prefix("0x")?, 16).ok());
-            let own = addresses.iter().filter(|one| one.interface == name);
+            let own = addresses.iter().filter(|(interface, _)| *interface == name);
             Interface {
                 up: flags.is_some_and(|flags| flags & 1 != 0),
                 // Reading it fails while the interface is down.
                 carrier: file("carrier").map(|text| text.trim() == "1"),
-                addresses: own.map(|one| (one.address, one.bits)).collect(),
+                addresses: own.map(|(_, address)| *address).collect(),
                 name,
             }
         })
@@ -49,6 +53,20 @@ fn interfaces() -> Vec<Interface> {
         .collect();
     interfaces.sort_by(|a, b| a.name.cmp(&b.name));
     interfaces
+}
+
+/// The IPv4 addresses of this host with their interfaces, and how many bits are those of the net.
+fn addresses() -> io::Result<Vec<(String, (Ipv4Addr, u8))>> {
+    let mut found = Vec::new();
+    for interface in InterfaceFilter::new().v4().get()? {
+        if let Address::V4(own) = interface.address
+            && let Some(mask) = own.netmask
+        {
+            let bits = u32::from(mask).count_ones() as u8;
+            found.push((interface.name, (own.address, bits)));
+        }
+    }
+    Ok(found)
 }
 
 fn root_trouble(domain: &Domain) -> Option<RootTrouble> {
@@ -65,7 +83,8 @@ fn root_trouble(domain: &Domain) -> Option<RootTrouble> {
         .ancestors()
         .skip(usize::from(!exists))
         .find(|folder| folder.exists())?;
-    (!sys::may_write(folder)).then(|| RootTrouble::NotWritable {
+    let may_make_files = access(folder, Access::WRITE_OK | Access::EXEC_OK).is_ok();
+    (!may_make_files).then(|| RootTrouble::NotWritable {
         folder: folder.to_owned(),
     })
 }
@@ -98,11 +117,7 @@ mod tests {
 
     #[test]
     fn loopback_is_an_address_of_every_host() {
-        let found = sys::addresses().unwrap();
-        assert!(
-            found
-                .iter()
-                .any(|one| one.interface == "lo" && one.address.is_loopback() && one.bits == 8)
-        );
+        let found = addresses().unwrap();
+        assert!(found.contains(&("lo".to_owned(), (Ipv4Addr::LOCALHOST, 8))));
     }
 }

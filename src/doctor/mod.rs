@@ -16,7 +16,6 @@ pub mod host;
 pub mod listen;
 pub mod observe;
 pub mod plan;
-mod sys;
 pub mod web;
 
 use std::io;

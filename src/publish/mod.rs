@@ -25,7 +25,6 @@ mod pool;
 mod service;
 mod settings;
 mod status;
-mod sys;
 
 pub use error::PublishError;
 pub use keeper::Keeper;

@@ -14,6 +14,7 @@ use iceoryx2::prelude::*;
 use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+use rustix::fs::{FallocateFlags, fallocate};
 use sweepd_client::domain::Domain;
 use sweepd_client::join::JoinError;
 use sweepd_client::join::require_free;
@@ -23,7 +24,6 @@ use super::error::PublishError;
 use super::files::SharedFile;
 use super::settings::ServiceSettings;
 use super::status::{PublishStatus, lock};
-use super::sys;
 
 /// Room for as many sweeps as all consumers may hold, and two more.
 #[derive(Debug)]
@@ -171,10 +171,11 @@ impl SensorPool {
     }
 }
 
-/// Allocates the pages of the pool's file, and returns their size in bytes.
+/// Takes all pages of the pool's file, and returns their size in bytes: where there are not enough,
+/// that is an error here and not a signal at the first write to one that is missing.
 fn take_pages(file: &SharedFile) -> io::Result<u64> {
     let file = File::options().read(true).write(true).open(file.path())?;
     let bytes = file.metadata()?.len();
-    sys::take_pages(&file, bytes)?;
+    fallocate(&file, FallocateFlags::empty(), 0, bytes)?;
     Ok(bytes)
 }

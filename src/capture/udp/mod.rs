@@ -337,7 +337,7 @@ fn is_no_datagram(error: &io::Error) -> bool {
 }
 
 fn interface_index(name: &str) -> Result<NonZeroU32, UdpError> {
-    let index = sys::interface_index(name)
+    let index = getifaddrs::if_nametoindex(name)
         .and_then(|index| NonZeroU32::new(index).ok_or(io::ErrorKind::NotFound.into()));
     index.map_err(|source| UdpError::interface(name, source))
 }

@@ -1,5 +1,4 @@
-//! System calls that no safe crate offers: batches with control messages, some socket options, an
-//! interface's index.
+//! System calls that no safe crate offers: batches with control messages, some socket options.
 //!
 //! nix 0.31 loses the control messages of a batch once datagrams are dropped (its headers are not
 //! reset: nix-rust/nix pull request 2813), rustix has no `recvmmsg`, socket2 neither it nor these
@@ -7,7 +6,6 @@
 
 #![allow(unsafe_code)]
 
-use std::ffi::CString;
 use std::io;
 use std::mem::{self, offset_of, size_of};
 use std::net::{Ipv4Addr, SocketAddrV4};
@@ -254,16 +252,6 @@ pub(super) fn dropped_now(socket: BorrowedFd<'_>) -> io::Result<u32> {
         0 if len as usize == size_of_val(&numbers) => Ok(numbers[DROPS]),
         0 => Err(io::ErrorKind::Unsupported.into()),
         _ => Err(io::Error::last_os_error()),
-    }
-}
-
-/// Index of a network interface (if_nametoindex(3)).
-pub(super) fn interface_index(name: &str) -> io::Result<u32> {
-    let name = CString::new(name)?;
-    // SAFETY: a string that ends in a zero and lives while the call lasts.
-    match unsafe { libc::if_nametoindex(name.as_ptr()) } {
-        0 => Err(io::Error::last_os_error()),
-        index => Ok(index),
     }
 }
 

@@ -43,6 +43,5 @@ pub mod flow;
 mod parameters;
 pub mod participant;
 mod sockets;
-mod sys;
 mod wire;
 pub mod writer;

@@ -7,7 +7,6 @@ use super::discovery::{Discovery, News, ParticipantData, Place, ReaderData};
 use super::flow::{self, Delivery, Kind, Link, SocketMemory, Step, Transport, lock};
 use super::parameters::{self, ParameterList};
 use super::sockets::{self, Sockets};
-use super::sys;
 use super::wire::{self, EntityId, Guid, Message, Prefix, Route, Submessage};
 use super::writer::{Body, Counters, Match, Offer, Outbox, ReaderCount, Writer};
 use crate::environment::{DiscoveryRange, Environment};
@@ -303,7 +302,7 @@ impl Shared {
             discovery: Discovery::default(),
             writers: BTreeMap::from([(wire::PUBLICATIONS_WRITER, publications)]),
             ways: Ways::default(),
-            addresses: sys::addresses()?,
+            addresses: sockets::addresses()?,
             entities: 0,
             acknacks: 0,
         };
@@ -463,7 +462,7 @@ impl Shared {
         if range == DiscoveryRange::Off {
             return;
         }
-        if let Ok(addresses) = sys::addresses() {
+        if let Ok(addresses) = sockets::addresses() {
             lock(&self.state).addresses = addresses;
         }
         let addresses = lock(&self.state).addresses.clone();

@@ -1,12 +1,12 @@
 //! The sockets of a participant, and where datagrams go that are for anyone.
 
 use super::discovery::Place;
-use super::sys;
 use crate::environment::{DiscoveryRange, Environment};
+use getifaddrs::{Address, InterfaceFilter, InterfaceFlags};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use socket2::{Domain, Protocol, SockAddr, Socket, Type};
 use std::io::{self, IoSlice};
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
-use std::os::fd::AsFd;
 use std::time::Duration;
 
 /// Group in which participants say that they are there.
@@ -166,15 +166,34 @@ impl Sockets {
         Ok(())
     }
 
-    /// Waits for a datagram.
+    /// Waits for a datagram. A signal ends it too.
     pub fn wait(&self, longest: Duration) {
-        sys::wait([self.unicast.as_fd(), self.multicast.as_fd()], longest);
+        let mut inboxes = self
+            .inboxes()
+            .map(|inbox| PollFd::new(inbox, PollFlags::IN));
+        let _ = poll(&mut inboxes, Timespec::try_from(longest).ok().as_ref());
     }
 
     /// Where datagrams come in.
     pub fn inboxes(&self) -> [&UdpSocket; 2] {
         [&self.unicast, &self.multicast]
     }
+}
+
+/// The IPv4 addresses of the interfaces that are up, that of the loopback too.
+///
+/// # Errors
+/// What the system says.
+pub fn addresses() -> io::Result<Vec<Ipv4Addr>> {
+    let mut addresses = vec![];
+    for interface in InterfaceFilter::new().v4().get()? {
+        if let Address::V4(own) = interface.address
+            && interface.flags.contains(InterfaceFlags::UP)
+        {
+            addresses.push(own.address);
+        }
+    }
+    Ok(addresses)
 }
 
 /// A datagram that is there, and the address that it comes from.
