@@ -62,13 +62,14 @@ pub(crate) fn sleep(time: Duration) -> bool {
 /// What the system says.
 pub fn memory_bytes() -> io::Result<(u64, u64)> {
     let mut numbers = MaybeUninit::<libc::statvfs>::zeroed();
-    // SAFETY: a path that ends in a zero, and room for the numbers; the call keeps neither.
-    let done = unsafe { libc::statvfs(c"/dev/shm".as_ptr(), numbers.as_mut_ptr()) };
-    if done != 0 {
-        return Err(io::Error::last_os_error());
-    }
-    // SAFETY: zeroes are a value of this struct of numbers, and the call has filled it in.
-    let numbers = unsafe { numbers.assume_init() };
+    // SAFETY: a path that ends in a zero, and room for the numbers, for which zeroes are a value;
+    // the call keeps neither.
+    let numbers = unsafe {
+        if libc::statvfs(c"/dev/shm".as_ptr(), numbers.as_mut_ptr()) != 0 {
+            return Err(io::Error::last_os_error());
+        }
+        numbers.assume_init()
+    };
     #[allow(clippy::unnecessary_cast, reason = "32 bits have other types")]
     let [all, free, unit] = [
         numbers.f_blocks as u64,

@@ -3,7 +3,7 @@
 //! A message is a header and submessages, each with a length of its own. Ours are little-endian;
 //! those of others say which they are. Reading never fails as a whole: what makes no sense ends it.
 
-use std::time::{SystemTime, UNIX_EPOCH};
+use sweepd_client::host::realtime_ns;
 
 /// The 12 bytes that all entities of one participant share.
 pub type Prefix = [u8; 12];
@@ -76,12 +76,10 @@ pub type Timestamp = [u8; 8];
 
 /// The moment that is now.
 pub fn now() -> Timestamp {
-    let since_1970 = SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .unwrap_or_default();
-    let fraction = (u64::from(since_1970.subsec_nanos()) << 32) / 1_000_000_000;
+    let ns = realtime_ns() as u64;
+    let fraction = ((ns % 1_000_000_000) << 32) / 1_000_000_000;
     let mut bytes = [0; 8];
-    bytes[..4].copy_from_slice(&(since_1970.as_secs() as u32).to_le_bytes());
+    bytes[..4].copy_from_slice(&((ns / 1_000_000_000) as u32).to_le_bytes());
     bytes[4..].copy_from_slice(&(fraction as u32).to_le_bytes());
     bytes
 }
