@@ -437,7 +437,12 @@ fn load(name: &str, stream: &Stream, pace: f64, seconds: u64, listens: bool) -> 
     let listener = listens.then(|| {
         thread::spawn(move || {
             let mut messages = 0;
-            while objects.next(Duration::from_secs(5)).unwrap().is_some() {
+            while objects
+                .next(Duration::from_secs(5))
+                .unwrap()
+                .received()
+                .is_some()
+            {
                 messages += 1;
             }
             messages
@@ -445,7 +450,7 @@ fn load(name: &str, stream: &Stream, pace: f64, seconds: u64, listens: bool) -> 
     });
     let consumer = thread::spawn(move || {
         let (mut sweeps, mut lost, mut dropped) = (0_u64, 0_u64, 0_u64);
-        while let Some(sweep) = client.next(Duration::from_secs(5)).unwrap() {
+        while let Some(sweep) = client.next(Duration::from_secs(5)).unwrap().received() {
             let header = *sweep.view().unwrap().header;
             sweeps += 1;
             lost += u64::from(header.lost_packets);

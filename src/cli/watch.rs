@@ -152,7 +152,7 @@ impl Watch<'_> {
         while !over.load(Ordering::Relaxed)
             && self.args.sweeps.is_none_or(|sweeps| self.seen < sweeps)
         {
-            let next = self.client.next(LOOK_EVERY)?;
+            let next = self.client.next(LOOK_EVERY)?.received();
             let receipt = Receipt {
                 realtime_ns: realtime_ns(),
                 monotonic_ns: monotonic_ns(),

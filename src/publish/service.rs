@@ -433,7 +433,7 @@ mod tests {
             ..ServiceSettings::default()
         };
         let service = Service::open(&domain, &settings, 0, true).unwrap();
-        assert!(client.next(Duration::ZERO).unwrap().is_none() && client.is_connected());
+        assert!(client.next(Duration::ZERO).unwrap().received().is_none() && client.is_connected());
         // The holder of the other takes the file along, which is put back.
         drop(older);
         assert!(service.missing().is_none() && service.missing().is_none());

@@ -124,7 +124,7 @@ fn sharing() -> Vec<u64> {
     let [mut client, mut stuck] =
         ["roof"; 2].map(|name| Client::within(&own.domain(), name).unwrap());
     for one in [&mut client, &mut stuck] {
-        assert!(one.next(Duration::ZERO).unwrap().is_none() && one.is_connected());
+        assert!(one.next(Duration::ZERO).unwrap().received().is_none() && one.is_connected());
     }
     let mut publish = |sequence| {
         let before = counting::of_this_thread();
@@ -139,6 +139,7 @@ fn sharing() -> Vec<u64> {
             client
                 .next(Duration::from_secs(5))
                 .unwrap()
+                .received()
                 .unwrap()
                 .view()
                 .unwrap()

@@ -6,7 +6,7 @@ use std::time::{Duration, SystemTime};
 
 use serde_json::{Value, json};
 use sweepd::buffers::{Buffers, HeapBuffers, Memory};
-use sweepd::client::{Client, ClientError, ObjectsRef};
+use sweepd::client::{Client, ClientError, Next, ObjectsRef};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::publish::{Loans, Preamble, ServiceSettings, Topic};
 use sweepd::segment::objects::MAX_WIDTH_RAD;
@@ -374,13 +374,13 @@ fn rust_and_python_take_or_refuse_any_objects() {
     let mut objects = client.objects().unwrap();
     // To be there from the first on.
     assert!(python.ask("look")["sweep"].is_null());
-    assert!(objects.next(Duration::ZERO).unwrap().is_none());
+    assert!(objects.next(Duration::ZERO).unwrap().received().is_none());
     for case in cases() {
         let name = case.name;
         hostile.send(&case.bytes, &case.preamble);
         let said = python.ask("next");
         match (objects.next(SOON), case.refusal) {
-            (Ok(Some(message)), None) => {
+            (Ok(Next::Received(message)), None) => {
                 let view = message.view().unwrap();
                 assert!(!view.header.name().contains(char::is_control));
                 assert!(said["sweep"].is_u64(), "{name}: {said}");

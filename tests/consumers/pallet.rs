@@ -91,7 +91,7 @@ fn stops(program: &[&OsStr], distance_m: Distance) {
         let said = Talk::start("env".as_ref(), &args);
         let sending = Sending::new(sensor, setup.port);
         for _ in 0..SWEEPS {
-            client.next(SOON).unwrap().expect("a sweep");
+            client.next(SOON).unwrap().received().expect("a sweep");
         }
         while let Some(line) = said.try_line(Duration::ZERO) {
             assert!(

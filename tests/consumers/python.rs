@@ -459,11 +459,11 @@ fn what_python_holds_stays_and_costs_nobody_and_more_than_two_are_refused() {
     let mut python = check(&["hold".as_ref(), "roof".as_ref(), own.root().as_ref()]);
     assert_eq!(python.json()["ready"], true);
     let mut other = Client::within(&own.domain(), "roof").unwrap();
-    assert!(other.next(Duration::ZERO).unwrap().is_none() && other.is_connected());
+    assert!(other.next(Duration::ZERO).unwrap().received().is_none() && other.is_connected());
     // Another consumer gets all, whatever the first holds.
     let mut publish_to_other = |sequence| {
         publish(&mut loans, sequence);
-        let sweep = other.next(LIMIT).unwrap().expect("a sweep");
+        let sweep = other.next(LIMIT).unwrap().received().expect("a sweep");
         assert_eq!(sweep.view().unwrap().header.sequence, sequence);
     };
     (1..3).for_each(&mut publish_to_other);

@@ -10,7 +10,7 @@ use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
 use iceoryx2::prelude::*;
-use sweepd::client::{Client, ClientError, SubscribeError, Sweep};
+use sweepd::client::{Client, ClientError, Next, SubscribeError, Sweep};
 use sweepd::publish::Preamble;
 use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::{Header, LAYOUT_VERSION, LayoutError};
@@ -28,7 +28,7 @@ const SOON: Duration = Duration::from_secs(5);
 
 fn client(own: &TempDomain) -> Client {
     let mut client = Client::within(&own.domain(), "roof").unwrap();
-    assert!(client.next(Duration::ZERO).unwrap().is_none() && client.is_connected());
+    assert!(client.next(Duration::ZERO).unwrap().received().is_none() && client.is_connected());
     client
 }
 
@@ -70,7 +70,7 @@ fn rust_accepts_or_refuses_any_bytes() {
     {
         hostile.send(&bytes, &preamble);
         match (client.next(SOON), fate) {
-            (Ok(Some(sweep)), Fate::Taken) => {
+            (Ok(Next::Received(sweep)), Fate::Taken) => {
                 let view = sweep.view().unwrap();
                 assert!(ask_all(&view) <= SHAPE.rows * COLUMNS * 2, "{name}");
             }
@@ -89,6 +89,7 @@ fn rust_accepts_or_refuses_any_bytes() {
             client
                 .next(SOON)
                 .unwrap()
+                .received()
                 .unwrap()
                 .view()
                 .unwrap()
@@ -170,7 +171,9 @@ fn comes_back(own: &TempDomain, client: &mut Client) {
     loop {
         publish(&mut loans, 5);
         match client.next(Duration::from_millis(20)) {
-            Ok(Some(sweep)) => return assert_eq!(sweep.view().unwrap().header.sequence, 5),
+            Ok(Next::Received(sweep)) => {
+                return assert_eq!(sweep.view().unwrap().header.sequence, 5);
+            }
             other => assert!(begun.elapsed() < SOON, "{:?}", other.map(|_| "nothing")),
         }
     }
@@ -242,11 +245,11 @@ fn a_mirror_without_attributes_is_read_and_of_another_version_refused() {
     let mut python = refusing(&own);
     assert!(python.ask("look")["sweep"].is_null());
     let mut client = Client::within(&own.domain(), "roof").unwrap();
-    assert!(client.next(Duration::ZERO).unwrap().is_none());
+    assert!(client.next(Duration::ZERO).unwrap().received().is_none());
     assert_eq!((client.is_connected(), client.model()), (true, None));
     let bytes = honest(7);
     mirror.send(&bytes, &preamble(LAYOUT_VERSION, bytes.len() as u64));
-    let sweep = client.next(SOON).unwrap().unwrap();
+    let sweep = client.next(SOON).unwrap().received().unwrap();
     assert_eq!(sweep.view().unwrap().header.sequence, 7);
     drop(sweep);
     let said = python.ask("next");
@@ -392,7 +395,7 @@ fn a_service_that_is_aligned_to_more_is_read() {
     let hostile = Hostile::aligned(&own, 128);
     let mut client = client(&own);
     hostile.send(&honest(4), &honest_preamble());
-    let sweep = client.next(SOON).unwrap().unwrap();
+    let sweep = client.next(SOON).unwrap().received().unwrap();
     assert_eq!(sweep.bytes(), honest(4));
     assert_eq!(ask_all(&sweep.view().unwrap()), COLUMNS * SHAPE.rows * 2);
 }
@@ -408,7 +411,7 @@ fn a_header_that_changes_while_it_is_read_changes_nothing() {
     let over = &over;
     let place = hostile.send(&honest(0), &honest_preamble());
     let file = File::options().write(true).open(&place.0).unwrap();
-    drop(client.next(SOON).unwrap());
+    drop(client.next(SOON).unwrap().received());
     let (mut taken, mut refused, mut changed) = (0, 0, 0);
     std::thread::scope(|scope| {
         let _ends = Ends(over);
@@ -421,7 +424,7 @@ fn a_header_that_changes_while_it_is_read_changes_nothing() {
             hostile.send(&honest(sequence), &honest_preamble());
             match client.next(SOON) {
                 Ok(sweep) => {
-                    changed += usize::from(hold(&sweep.unwrap()));
+                    changed += usize::from(hold(&sweep.received().unwrap()));
                     taken += 1;
                 }
                 Err(ClientError::Layout { .. }) => refused += 1,
@@ -508,7 +511,13 @@ fn a_wait_ends_however_short_it_is() {
     let (ended, is_ended) = mpsc::channel();
     std::thread::spawn(move || {
         for ns in (0..40_000).step_by(100) {
-            assert!(client.next(Duration::from_nanos(ns)).unwrap().is_none());
+            assert!(
+                client
+                    .next(Duration::from_nanos(ns))
+                    .unwrap()
+                    .received()
+                    .is_none()
+            );
         }
         ended.send(()).unwrap();
     });

@@ -16,7 +16,7 @@ fn consumers_go_on_when_the_daemon_is_killed_in_the_middle_of_a_sweep() {
     let mut run_ns = 0;
     for _ in 0..10 {
         for _ in 0..3 {
-            let sweep = client.next(SOON).unwrap().expect("a sweep");
+            let sweep = client.next(SOON).unwrap().received().expect("a sweep");
             run_ns = sweep.view().unwrap().header.run_ns;
         }
         daemon.signal("-KILL");
@@ -29,6 +29,7 @@ fn consumers_go_on_when_the_daemon_is_killed_in_the_middle_of_a_sweep() {
             let sweep = client
                 .next(SOON)
                 .unwrap()
+                .received()
                 .unwrap_or_else(|| panic!("no sweep: {}", setup.log()));
             next_run_ns = sweep.view().unwrap().header.run_ns;
             assert!(killed.elapsed() < SOON);
@@ -48,7 +49,7 @@ fn consumers_killed_while_they_hold_sweeps_cost_the_others_none() {
     let _sensor = setup.sensor("vlp16", 1200, 60.0);
     let (mut last, mut received, mut missed) = (None, 0, 0);
     let mut receive = |client: &mut sweepd::client::Client| {
-        let sweep = client.next(SOON).unwrap().expect("a sweep");
+        let sweep = client.next(SOON).unwrap().received().expect("a sweep");
         let sequence = sweep.view().unwrap().header.sequence;
         assert!(
             last.is_none_or(|last| sequence > last),

@@ -58,7 +58,7 @@ fn joining(error: PublishError) -> JoinError {
 fn client(own: &TempDomain) -> Client {
     let mut client = Client::within(&own.domain(), "roof").unwrap();
     // To be there from the first sweep on.
-    assert!(client.next(Duration::ZERO).unwrap().is_none() && client.is_connected());
+    assert!(client.next(Duration::ZERO).unwrap().received().is_none() && client.is_connected());
     client
 }
 
@@ -141,7 +141,7 @@ fn the_consumer_reads_the_bytes_that_the_decoder_wrote() {
         let written_to = mapped(written.range_bytes());
         assert!(written_to.0 == file && written_to.1 >= offset);
         assert_eq!(slot.publish().unwrap(), 1);
-        let sweep = client.next(SOON).unwrap().unwrap();
+        let sweep = client.next(SOON).unwrap().received().unwrap();
         assert_eq!(
             mapped(sweep.bytes()),
             (file, offset),
@@ -232,7 +232,7 @@ fn shared_sweeps_equal_those_of_the_heap_for_any_earlier_content_of_the_pool() {
             let mut sweeps = Vec::new();
             play(watched, config(), &sent, |slot| {
                 slot.publish().unwrap();
-                let sweep = client.next(SOON).unwrap().unwrap();
+                let sweep = client.next(SOON).unwrap().received().unwrap();
                 sweeps.push(valid(&sweep.view().unwrap()));
             });
             assert!(
@@ -282,9 +282,12 @@ fn slow_stuck_and_greedy_consumers_delay_no_one() {
         let begun = Instant::now();
         assert_eq!(publish(&mut loans, sequence), 4);
         took.push(begun.elapsed());
-        assert_eq!(number(&good.next(SOON).unwrap().unwrap()), sequence);
+        assert_eq!(
+            number(&good.next(SOON).unwrap().received().unwrap()),
+            sequence
+        );
         match greedy.next(Duration::ZERO) {
-            Ok(sweep) => held.extend(sweep),
+            Ok(sweep) => held.extend(sweep.received()),
             Err(ClientError::Subscribe(error)) => {
                 assert!(error.to_string().contains("holds 2 sweeps"), "{error}")
             }
@@ -292,16 +295,17 @@ fn slow_stuck_and_greedy_consumers_delay_no_one() {
         }
         if sequence % 50 == 49 {
             // The newest two, and not what is long gone.
-            let got: Vec<u64> = std::iter::from_fn(|| slow.next(Duration::ZERO).unwrap())
-                .map(|sweep| number(&sweep))
-                .collect();
+            let got: Vec<u64> =
+                std::iter::from_fn(|| slow.next(Duration::ZERO).unwrap().received())
+                    .map(|sweep| number(&sweep))
+                    .collect();
             assert_eq!(got, [sequence - 1, sequence]);
         }
     }
     // What is held stays as it was.
     assert_eq!(held.iter().map(number).collect::<Vec<_>>(), [0, 1]);
     held.clear();
-    assert_eq!(number(&greedy.next(SOON).unwrap().unwrap()), 498);
+    assert_eq!(number(&greedy.next(SOON).unwrap().received().unwrap()), 498);
     // The longest of all tells how long this process had no core.
     took.sort_unstable();
     assert!(took[took.len() / 2] < Duration::from_millis(20), "{took:?}");
@@ -327,7 +331,7 @@ fn a_late_consumer_gets_the_last_sweep() {
     }
     let mut late = client(&own);
     publish(&mut loans, 3);
-    let got: Vec<u64> = std::iter::from_fn(|| late.next(Duration::ZERO).unwrap())
+    let got: Vec<u64> = std::iter::from_fn(|| late.next(Duration::ZERO).unwrap().received())
         .map(|sweep| number(&sweep))
         .collect();
     assert_eq!(got, [2, 3]);
@@ -341,14 +345,19 @@ fn a_sensor_has_one_publisher_and_its_consumers_outlive_it() {
     let taken = Loans::create(&own.domain(), &settings(2)).unwrap_err();
     assert!(matches!(taken, PublishError::Taken { .. }), "{taken}");
     publish(&mut first, 1);
-    let kept = consumer.next(SOON).unwrap().unwrap();
+    let kept = consumer.next(SOON).unwrap().received().unwrap();
     drop(first);
     assert!(
-        consumer.next(Duration::from_millis(300)).unwrap().is_none() && !consumer.is_published()
+        consumer
+            .next(Duration::from_millis(300))
+            .unwrap()
+            .received()
+            .is_none()
+            && !consumer.is_published()
     );
     let mut second = loans(&own, 2);
     publish(&mut second, 7);
-    assert_eq!(number(&consumer.next(SOON).unwrap().unwrap()), 7);
+    assert_eq!(number(&consumer.next(SOON).unwrap().received().unwrap()), 7);
     assert_eq!((number(&kept), consumer.reopened()), (1, 0));
     assert_eq!(consumer.model().as_deref(), Some("VLP-16"));
     assert_eq!(Client::sensors(&own.domain()).unwrap(), ["roof"]);
@@ -358,7 +367,14 @@ fn a_sensor_has_one_publisher_and_its_consumers_outlive_it() {
 fn a_consumer_waits_for_the_daemon() {
     let own = temp_domain();
     let mut early = Client::within(&own.domain(), "roof").unwrap();
-    assert!(early.next(Duration::from_millis(120)).unwrap().is_none() && !early.is_connected());
+    assert!(
+        early
+            .next(Duration::from_millis(120))
+            .unwrap()
+            .received()
+            .is_none()
+            && !early.is_connected()
+    );
     let mut loans = loans(&own, 2);
     publish(&mut loans, 1);
     let (stop, stopped) = mpsc::channel::<()>();
@@ -369,7 +385,7 @@ fn a_consumer_waits_for_the_daemon() {
             publish(&mut loans, sequence);
         }
     });
-    assert!(early.next(SOON).unwrap().is_some());
+    assert!(early.next(SOON).unwrap().received().is_some());
     drop(stop);
     publisher.join().unwrap();
 }
@@ -394,7 +410,7 @@ fn files_that_vanish_are_made_again_and_found_again() {
         }
     });
     for round in 1..=3 {
-        assert!(consumer.next(SOON).unwrap().is_some());
+        assert!(consumer.next(SOON).unwrap().received().is_some());
         std::fs::remove_dir_all(own.root()).unwrap();
         let begun = Instant::now();
         while status.renewed() < round || consumer.reopened() < round {
@@ -407,9 +423,9 @@ fn files_that_vanish_are_made_again_and_found_again() {
             consumer.next(Duration::from_millis(50)).unwrap();
         }
         // And then it is as before, for good.
-        let mut last = number(&consumer.next(SOON).unwrap().unwrap());
+        let mut last = number(&consumer.next(SOON).unwrap().received().unwrap());
         for _ in 0..100 {
-            let sequence = number(&consumer.next(SOON).unwrap().unwrap());
+            let sequence = number(&consumer.next(SOON).unwrap().received().unwrap());
             // A sweep is passed over where two newer ones came before it was taken, and never else.
             let is_explained =
                 sequence == last + 1 || sequence < begun_so_far.load(Ordering::SeqCst);
@@ -423,6 +439,7 @@ fn files_that_vanish_are_made_again_and_found_again() {
                 .unwrap()
                 .next(SOON)
                 .unwrap()
+                .received()
                 .is_some()
         );
     }
@@ -454,7 +471,7 @@ fn nothing_is_left_in_shared_memory() {
     let mut consumer = client(&own);
     loans.reserve(100_000).unwrap();
     publish(&mut loans, 1);
-    let sweep = consumer.next(SOON).unwrap();
+    let sweep = consumer.next(SOON).unwrap().received();
     assert!(sweep.is_some() && !own.shared_memory().is_empty());
     drop((loans, consumer, sweep));
     // Some hundred bytes of iceoryx2's own, by which it numbers the nodes of a domain, stay.
@@ -470,17 +487,20 @@ fn a_pool_grows_when_the_sensor_begins_to_send_two_returns() {
     let mut consumer = client(&own);
     publish(&mut loans, 1);
     let before = loans.status().reserved_bytes();
-    assert_eq!(number(&consumer.next(SOON).unwrap().unwrap()), 1);
+    assert_eq!(number(&consumer.next(SOON).unwrap().received().unwrap()), 1);
     // The one is still out when the larger one is taken, as at a cut.
     let first = numbered(&mut loans, 2, 1000);
     let second = numbered(&mut loans, 3, 5000);
     assert!(loans.status().reserved_bytes() > before && second.is_shared());
     for (slot, sequence) in [(first, 2), (second, 3)] {
         slot.publish().unwrap();
-        assert_eq!(number(&consumer.next(SOON).unwrap().unwrap()), sequence);
+        assert_eq!(
+            number(&consumer.next(SOON).unwrap().received().unwrap()),
+            sequence
+        );
     }
     publish(&mut loans, 4);
-    assert_eq!(number(&consumer.next(SOON).unwrap().unwrap()), 4);
+    assert_eq!(number(&consumer.next(SOON).unwrap().received().unwrap()), 4);
 }
 
 /// What a pool was made for is given back when another has taken its place, but not while a sweep
@@ -528,7 +548,7 @@ fn a_sweep_that_was_begun_before_its_pool_is_there_is_shared_when_it_is_complete
         assert!(begun.elapsed() < SOON);
     }
     assert_eq!(slot.publish().unwrap(), 1);
-    assert_eq!(number(&consumer.next(SOON).unwrap().unwrap()), 7);
+    assert_eq!(number(&consumer.next(SOON).unwrap().received().unwrap()), 7);
     assert!(numbered(&mut loans, 8, 50_000).is_shared());
     assert_eq!(
         (loans.status().unshared(), loans.status().trouble()),
@@ -609,7 +629,7 @@ fn a_service_that_no_longer_fits_is_made_again() {
     let mut first = loans(&own, 1);
     let mut consumer = client(&own);
     publish(&mut first, 1);
-    assert_eq!(number(&consumer.next(SOON).unwrap().unwrap()), 1);
+    assert_eq!(number(&consumer.next(SOON).unwrap().received().unwrap()), 1);
     for (round, max_consumers, address) in [
         (1, 3, "192.168.1.201"),
         (2, 2, "192.168.1.201"),
@@ -637,7 +657,7 @@ fn a_service_that_no_longer_fits_is_made_again() {
             assert!(begun.elapsed() < SOON);
         }
         publish(&mut first, 10 + round);
-        let mut numbers = std::iter::from_fn(|| consumer.next(Duration::ZERO).unwrap())
+        let mut numbers = std::iter::from_fn(|| consumer.next(Duration::ZERO).unwrap().received())
             .map(|sweep| number(&sweep));
         assert!(numbers.any(|number| number == 10 + round));
         assert_eq!(consumer.address().as_deref(), Some(address));
@@ -656,7 +676,7 @@ fn a_service_that_no_longer_fits_is_made_again() {
     publish(&mut last, 20);
     assert_eq!(
         (
-            number(&consumer.next(SOON).unwrap().unwrap()),
+            number(&consumer.next(SOON).unwrap().received().unwrap()),
             consumer.reopened()
         ),
         (20, 3)
@@ -669,7 +689,7 @@ fn a_sweep_outlives_its_client_and_its_daemon() {
     let mut loans = loans(&own, 1);
     let mut consumer = client(&own);
     publish(&mut loans, 1);
-    let sweep = consumer.next(SOON).unwrap().unwrap();
+    let sweep = consumer.next(SOON).unwrap().received().unwrap();
     let bytes = sweep.bytes().to_vec();
     drop(consumer);
     for sequence in 2..40 {
@@ -682,7 +702,10 @@ fn a_sweep_outlives_its_client_and_its_daemon() {
     let mut again = self::loans(&own, 1);
     let mut consumer = client(&own);
     publish(&mut again, 50);
-    assert_eq!(number(&consumer.next(SOON).unwrap().unwrap()), 50);
+    assert_eq!(
+        number(&consumer.next(SOON).unwrap().received().unwrap()),
+        50
+    );
 }
 
 #[test]
@@ -723,7 +746,7 @@ fn objects_come_as_they_were_told() {
     loans.reserve(MESSAGE_BYTES).unwrap();
     let client = Client::within(&own.domain(), "roof").unwrap();
     let mut consumer = client.objects().unwrap();
-    assert!(consumer.next(Duration::ZERO).unwrap().is_none());
+    assert!(consumer.next(Duration::ZERO).unwrap().received().is_none());
     let sending = Sending {
         name: "roof",
         run_ns: 5,
@@ -754,7 +777,7 @@ fn objects_come_as_they_were_told() {
             slot.as_mut().copy_from_slice(message);
             assert_eq!(slot.publish().unwrap(), 1, "one consumer");
         });
-        while let Some(message) = consumer.next(Duration::ZERO).unwrap() {
+        while let Some(message) = consumer.next(Duration::ZERO).unwrap().received() {
             messages += 1;
             let view = message.view().unwrap();
             let header = view.header;

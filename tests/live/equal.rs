@@ -118,7 +118,7 @@ fn compare(name: &str, python: Option<&OsStr>, send: impl FnOnce(&Setup) -> Proc
     let (mut live, mut lost, mut dropped, mut sequences) = (Sweeps::new(), 0, 0, Vec::new());
     let mut last = Instant::now();
     loop {
-        match client.next(Duration::from_millis(100)).unwrap() {
+        match client.next(Duration::from_millis(100)).unwrap().received() {
             Some(sweep) => {
                 let sweep = sweep.view().unwrap();
                 (lost, dropped) = (
@@ -259,7 +259,8 @@ fn captures_replayed_at_any_speed() {
                     "{capture} at {speed}: {} sweeps",
                     met.len()
                 );
-                let Some(sweep) = client.next(Duration::from_millis(100)).unwrap() else {
+                let Some(sweep) = client.next(Duration::from_millis(100)).unwrap().received()
+                else {
                     continue;
                 };
                 let sweep = sweep.view().unwrap();

@@ -36,7 +36,7 @@ fn listen(objects: &mut Objects, sweeps: usize) -> Vec<Told> {
     let begun = Instant::now();
     while all.iter().filter(|told| told.is_whole).count() < sweeps {
         assert!(begun.elapsed() < 3 * SOON, "{} sweeps", all.len());
-        let Some(message) = objects.next(SOON).unwrap() else {
+        let Some(message) = objects.next(SOON).unwrap().received() else {
             continue;
         };
         let view = message.view().unwrap();
@@ -98,7 +98,7 @@ fn objects_are_those_of_the_sweeps_and_of_a_daemon_that_comes_back() {
     let sweeps = thread::spawn(move || {
         let mut tables = Vec::new();
         while tables.len() < 10 {
-            let sweep = client.next(SOON).unwrap().unwrap();
+            let sweep = client.next(SOON).unwrap().received().unwrap();
             let view = sweep.view().unwrap();
             tables.push((view.header.sequence, view.segments.to_vec()));
         }
@@ -196,7 +196,7 @@ fn walk_in(cut_deg: u32) {
     let sensor = thread::spawn(move || send_a_person(port));
     let by_objects = thread::spawn(move || {
         let mut seen: Vec<(i64, i64)> = Vec::new();
-        while let Some(message) = objects.next(Duration::from_secs(3)).unwrap() {
+        while let Some(message) = objects.next(Duration::from_secs(3)).unwrap().received() {
             let (view, now_ns) = (message.view().unwrap(), realtime_ns());
             for object in view
                 .objects
@@ -212,7 +212,7 @@ fn walk_in(cut_deg: u32) {
         seen
     });
     let mut by_sweeps: Vec<(i64, i64)> = Vec::new();
-    while let Some(sweep) = client.next(Duration::from_secs(3)).unwrap() {
+    while let Some(sweep) = client.next(Duration::from_secs(3)).unwrap().received() {
         let (view, now_ns) = (sweep.view().unwrap(), realtime_ns());
         for segment in view.segments.iter().filter(|row| is_ahead(row)) {
             let returns = view.returns().filter(|found| found.label == segment.label);

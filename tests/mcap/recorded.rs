@@ -69,6 +69,7 @@ fn a_recording_has_the_sweeps_that_consumers_get() {
             2
         }))
         .unwrap()
+        .received()
     {
         let sweep = sweep.view().unwrap();
         let (mut points, mut boxes) = (Vec::new(), Vec::new());

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use crate::common::temp_domain;
 use crate::world::{World, binary};
-use sweepd::client::{Client, Domain};
+use sweepd::client::{Client, Domain, Next};
 use sweepd::host::realtime_ns;
 use sweepd_lab::testkit::TempDomain;
 
@@ -145,7 +145,7 @@ fn hundred_sweeps(model: &str) -> (Vec<f64>, u64) {
         scope.spawn(|| {
             let mut client = Client::within(&Domain::at(here.root()), "roof").unwrap();
             while !over.load(Ordering::Relaxed) {
-                if let Some(sweep) = client.next(Duration::from_millis(200)).unwrap() {
+                if let Some(sweep) = client.next(Duration::from_millis(200)).unwrap().received() {
                     let sequence = sweep.view().unwrap().header.sequence;
                     published
                         .lock()
@@ -161,7 +161,7 @@ fn hundred_sweeps(model: &str) -> (Vec<f64>, u64) {
         let mut equal = 0;
         while equal < 100 {
             assert!(begun.elapsed() < PATIENCE, "{model}: {equal} sweeps");
-            let Some(sweep) = client.next(Duration::from_secs(1)).unwrap() else {
+            let Some(sweep) = client.next(Duration::from_secs(1)).unwrap().received() else {
                 continue;
             };
             let late_ns = realtime_ns() - sweep.view().unwrap().header.arrival_ns;
@@ -213,7 +213,7 @@ fn goes_on(client: &mut Client, what: &str) {
     loop {
         let sweep = client.next(Duration::from_secs(1));
         match sweep.unwrap_or_else(|error| panic!("{what}: {error}")) {
-            Some(sweep) if sweep.view().unwrap().header.completed_ns > now_ns => return,
+            Next::Received(sweep) if sweep.view().unwrap().header.completed_ns > now_ns => return,
             _ => assert!(begun.elapsed() < PATIENCE, "{what}: no sweep"),
         }
     }
@@ -256,7 +256,7 @@ fn a_consumer_on_another_host_goes_on_whatever_was_away() {
     let begun = Instant::now();
     let error = loop {
         match other.next(Duration::from_secs(1)) {
-            Ok(sweep) => assert!(sweep.is_none() && begun.elapsed() < PATIENCE),
+            Ok(next) => assert!(next.received().is_none() && begun.elapsed() < PATIENCE),
             Err(error) => break error,
         }
     };

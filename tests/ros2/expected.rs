@@ -76,7 +76,8 @@ impl Consumer {
             // What it misses, no cloud can be held against.
             hurry("-15");
             while !of_thread.over.load(Ordering::Relaxed) {
-                let Some(sweep) = client.next(Duration::from_millis(100)).unwrap() else {
+                let Some(sweep) = client.next(Duration::from_millis(100)).unwrap().received()
+                else {
                     continue;
                 };
                 // No more than a copy: the daemon waits for nobody.

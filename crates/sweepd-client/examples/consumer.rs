@@ -40,7 +40,7 @@ fn main() {
 fn follow(mut sensor: Client, name: &str) -> Result<(), Box<dyn std::error::Error>> {
     let mut rate = Rate::default();
     loop {
-        let Some(sweep) = sensor.next(Duration::from_secs(1))? else {
+        let Some(sweep) = sensor.next(Duration::from_secs(1))?.received() else {
             complain(name, sensor.is_published());
             continue;
         };
@@ -56,7 +56,7 @@ fn follow(mut sensor: Client, name: &str) -> Result<(), Box<dyn std::error::Erro
 
 fn follow_objects(mut objects: Objects, name: &str) -> Result<(), Box<dyn std::error::Error>> {
     loop {
-        let Some(message) = objects.next(Duration::from_secs(1))? else {
+        let Some(message) = objects.next(Duration::from_secs(1))?.received() else {
             complain(name, objects.is_published());
             continue;
         };

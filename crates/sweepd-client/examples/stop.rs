@@ -22,7 +22,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let name = std::env::args().nth(1).ok_or("which sensor?")?;
     let mut objects = Client::new(&name)?.objects()?;
     loop {
-        let Some(message) = objects.next(Duration::from_secs(1))? else {
+        let Some(message) = objects.next(Duration::from_secs(1))?.received() else {
             println!("stop: nothing is heard of {name}");
             continue;
         };

@@ -13,7 +13,7 @@ pub use sweepd_sweep::{Pose, Return, SweepRef};
 pub use crate::domain::{Domain, DomainError};
 pub use crate::join::JoinError;
 use crate::service::{Topic, attributes};
-pub use crate::subscriber::SubscribeError;
+pub use crate::subscriber::{Next, SubscribeError};
 use crate::subscriber::{Received, Subscriber};
 
 /// The sweeps of one sensor.
@@ -82,23 +82,21 @@ impl Client {
         Ok(Subscriber::names(domain)?)
     }
 
-    /// The next sweep; waits at most `timeout` for it, and for the daemon if there is none. `None`
-    /// if none came, or if the program handled a signal.
+    /// The next sweep; waits at most `timeout` for it, and for the daemon if there is none. A signal
+    /// that the program handles ends the wait at once; one that comes between two waits ends
+    /// neither.
     ///
     /// A slow consumer gets the newest two: gaps in
     /// [`Header::sequence`](sweepd_sweep::Header::sequence) show what it missed.
     ///
     /// # Errors
     /// [`ClientError`]: an error that does not pass by waiting.
-    pub fn next(&mut self, timeout: Duration) -> Result<Option<Sweep>, ClientError> {
-        let Some(received) = self.subscriber.wait(timeout)? else {
-            return Ok(None);
-        };
-        let sweep = Sweep::of(received).map_err(|source| ClientError::Layout {
+    pub fn next(&mut self, timeout: Duration) -> Result<Next<Sweep>, ClientError> {
+        let next = self.subscriber.wait(timeout)?.read(Sweep::of);
+        next.map_err(|source| ClientError::Layout {
             name: self.subscriber.name().to_owned(),
             source,
-        })?;
-        Ok(Some(sweep))
+        })
     }
 
     /// The objects of the same sensor while its head turns. The daemon notices the consumer within
@@ -160,15 +158,12 @@ impl Objects {
     ///
     /// # Errors
     /// [`ClientError`]: an error that does not pass by waiting.
-    pub fn next(&mut self, timeout: Duration) -> Result<Option<ObjectsMessage>, ClientError> {
-        let Some(received) = self.subscriber.wait(timeout)? else {
-            return Ok(None);
-        };
-        let message = ObjectsMessage::of(received).map_err(|source| ClientError::Objects {
+    pub fn next(&mut self, timeout: Duration) -> Result<Next<ObjectsMessage>, ClientError> {
+        let next = self.subscriber.wait(timeout)?.read(ObjectsMessage::of);
+        next.map_err(|source| ClientError::Objects {
             name: self.subscriber.name().to_owned(),
             source,
-        })?;
-        Ok(Some(message))
+        })
     }
 
     /// Whether a daemon publishes them at present.

@@ -89,12 +89,16 @@ pub fn free_bytes() -> io::Result<u64> {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
     use std::sync::mpsc;
     use std::thread;
     use std::time::Instant;
 
     use super::*;
-    use crate::client::{Client, Domain};
+    use crate::client::{Client, Domain, Next};
+    use crate::domain::{SHARED_MEMORY, entries, name_of};
+    use crate::join::node;
+    use crate::service::{Preamble, Topic, service_name};
 
     const LONG: Duration = Duration::from_secs(60);
 
@@ -116,8 +120,8 @@ mod tests {
         assert!((2_000_000..10_000_000_000).contains(&took_ns), "{took_ns}");
     }
 
-    #[test]
-    fn a_signal_ends_the_wait_for_a_daemon_that_is_not_there() {
+    /// Signals a thread that waits for a sweep, until the wait has ended.
+    fn interrupts(mut client: Client) -> Client {
         let handler: extern "C" fn(libc::c_int) = handle;
         // SAFETY: the handler does nothing, and nothing else in this process uses the signal.
         unsafe { libc::signal(libc::SIGUSR1, handler as libc::sighandler_t) };
@@ -126,8 +130,7 @@ mod tests {
         let waits = thread::spawn(move || {
             // SAFETY: it asks for a number.
             sender.send(unsafe { libc::pthread_self() }).unwrap();
-            let mut client = Client::within(&Domain::at("/tmp/sweepd-none"), "roof").unwrap();
-            client.next(LONG).unwrap().is_none()
+            (client.next(LONG).unwrap(), client)
         });
         let thread = receiver.recv().unwrap();
         while !waits.is_finished() && begun.elapsed() < LONG {
@@ -135,6 +138,41 @@ mod tests {
             unsafe { libc::pthread_kill(thread, libc::SIGUSR1) };
             thread::sleep(Duration::from_millis(5));
         }
-        assert!(waits.join().unwrap() && begun.elapsed() < LONG / 2);
+        let (next, client) = waits.join().unwrap();
+        assert!(matches!(next, Next::Interrupted) && begun.elapsed() < LONG / 2);
+        client
+    }
+
+    #[test]
+    fn a_signal_ends_the_wait_for_a_daemon_that_is_not_there() {
+        interrupts(Client::within(&Domain::at("/tmp/sweepd-none"), "roof").unwrap());
+    }
+
+    #[test]
+    fn a_signal_ends_the_wait_for_a_sweep_and_without_one_the_time_does() {
+        let root = std::env::temp_dir().join(format!("sweepd-signal-{}", std::process::id()));
+        let domain = Domain::at(&root);
+        domain.prepare().unwrap();
+        let node = node(&domain, 0).unwrap();
+        let name = service_name("roof", Topic::Sweeps).unwrap();
+        let samples = node
+            .service_builder(&name)
+            .publish_subscribe::<[u8]>()
+            .user_header::<Preamble>();
+        let silent = (
+            samples.create().unwrap(),
+            node.service_builder(&name).event().create().unwrap(),
+        );
+        let mut client = interrupts(Client::within(&domain, "roof").unwrap());
+        assert!(client.is_connected());
+        let begun = Instant::now();
+        let wait = Duration::from_millis(30);
+        assert!(matches!(client.next(wait), Ok(Next::Timeout)) && begun.elapsed() >= wait);
+        drop((client, silent, node));
+        let left = entries(Path::new(SHARED_MEMORY));
+        for file in left.filter(|file| name_of(file).starts_with(&domain.prefix())) {
+            std::fs::remove_file(file.path()).unwrap();
+        }
+        std::fs::remove_dir_all(root).unwrap();
     }
 }

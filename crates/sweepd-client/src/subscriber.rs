@@ -110,6 +110,37 @@ impl From<DomainError> for SubscribeError {
     }
 }
 
+/// How a wait for a sweep, or for a message of objects, ended.
+#[derive(Debug)]
+pub enum Next<T> {
+    /// It came.
+    Received(T),
+    /// Nothing came for that long.
+    Timeout,
+    /// The program handled a signal meanwhile, or was stopped and goes on. What that means, the
+    /// program decides: it may end, or wait again.
+    Interrupted,
+}
+
+impl<T> Next<T> {
+    /// What came, for a program to which a timeout and a signal are the same.
+    pub fn received(self) -> Option<T> {
+        match self {
+            Self::Received(what) => Some(what),
+            Self::Timeout | Self::Interrupted => None,
+        }
+    }
+
+    /// The same, with what came as `read` reads it.
+    pub(crate) fn read<U, E>(self, read: impl FnOnce(T) -> Result<U, E>) -> Result<Next<U>, E> {
+        Ok(match self {
+            Self::Received(what) => Next::Received(read(what)?),
+            Self::Timeout => Next::Timeout,
+            Self::Interrupted => Next::Interrupted,
+        })
+    }
+}
+
 /// Receives the sweeps of one sensor as bytes.
 #[derive(Debug)]
 pub struct Subscriber {
@@ -129,7 +160,7 @@ enum Found {
     Service(Box<Connection>),
     /// It is not there, or not yet whole.
     Nothing,
-    /// The program handled a signal meanwhile: it decides what that means.
+    /// As [`Next::Interrupted`].
     Interrupted,
 }
 
@@ -204,32 +235,34 @@ impl Subscriber {
         })
     }
 
-    /// The next sweep; waits for it, and for the daemon if there is none, but at most `timeout`:
-    /// less if the program handles a signal.
+    /// The next sweep; waits for it, and for the daemon if there is none, but at most `timeout`.
     ///
     /// # Errors
     /// [`SubscribeError`]: an error that does not pass by waiting.
-    pub fn wait(&mut self, timeout: Duration) -> Result<Option<Received>, SubscribeError> {
+    pub fn wait(&mut self, timeout: Duration) -> Result<Next<Received>, SubscribeError> {
         let deadline = Instant::now().checked_add(timeout);
         loop {
             if self.open.is_none() {
                 match self.find_unless_full()? {
                     Found::Service(open) => self.open = Some(open),
                     Found::Nothing => {}
-                    Found::Interrupted => return Ok(None),
+                    Found::Interrupted => return Ok(Next::Interrupted),
                 }
             }
             let rest = deadline.map_or(LOOK_EVERY, |deadline| {
                 deadline.saturating_duration_since(Instant::now())
             });
             let Some(open) = &self.open else {
-                if rest.is_zero() || !host::sleep(rest.min(SEEK_EVERY)) {
-                    return Ok(None);
+                if rest.is_zero() {
+                    return Ok(Next::Timeout);
+                }
+                if !host::sleep(rest.min(SEEK_EVERY)) {
+                    return Ok(Next::Interrupted);
                 }
                 continue;
             };
             if let Some(received) = open.receive()? {
-                return Ok(Some(received));
+                return Ok(Next::Received(received));
             }
             if self.looked.elapsed() >= LOOK_EVERY {
                 self.looked = Instant::now();
@@ -242,14 +275,13 @@ impl Subscriber {
                 leftovers::remove_unfinished(&self.domain);
             }
             if rest.is_zero() {
-                return Ok(None);
+                return Ok(Next::Timeout);
             }
             match open
                 .listener
                 .timed_wait(|_| {}, rest.clamp(LEAST, LOOK_EVERY))
             {
-                // The program that handles the signal decides what it means.
-                Err(ListenerWaitError::InterruptSignal) => return Ok(None),
+                Err(ListenerWaitError::InterruptSignal) => return Ok(Next::Interrupted),
                 woken => woken.map_err(SubscribeError::service)?,
             };
         }

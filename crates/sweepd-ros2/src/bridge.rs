@@ -202,7 +202,7 @@ impl Bridge {
         let mut client = Client::within(domain, &self.name)?;
         let mut last: Option<Instant> = None;
         while !over.load(Ordering::Relaxed) {
-            match client.next(LOOK_EVERY)? {
+            match client.next(LOOK_EVERY)?.received() {
                 Some(sweep) => {
                     let is_first = last.replace(Instant::now()).is_none();
                     self.publish(sweep, is_first, transforms)?;

@@ -16,7 +16,7 @@ use crate::export::mcap::{McapFiles, RecoveryWatch, SweepMessages, WrittenSweeps
 use crate::files::parts::Recovery;
 use crate::publish::Domain;
 use crate::text::{count_of, grouped};
-use sweepd_client::client::Client;
+use sweepd_client::client::{Client, Next};
 
 /// Sweeps that wait for the disk: two seconds of most sensors.
 const QUEUE: usize = 20;
@@ -113,7 +113,7 @@ impl Reception {
         let (mut last, mut is_noted) = (Instant::now(), false);
         let mut is_open = true;
         while is_open && !over.load(Ordering::Relaxed) && !args.is_due(begun) {
-            if let Some(sweep) = self.client.next(TICK)? {
+            if let Next::Received(sweep) = self.client.next(TICK)? {
                 (last, is_noted) = (Instant::now(), false);
                 let view = sweep.view();
                 let view = view.map_err(|error| CliError::Usage(error.to_string()))?;

@@ -34,7 +34,7 @@ pub(super) fn run(args: &Args, client: &Client, over: &AtomicBool) -> Result<(),
     let mut delays = Delays::default();
     let (mut seen, mut last, mut has_height) = (0, Instant::now(), true);
     while !over.load(Ordering::Relaxed) && args.sweeps.is_none_or(|sweeps| seen < sweeps) {
-        let Some(message) = objects.next(LOOK_EVERY)? else {
+        let Some(message) = objects.next(LOOK_EVERY)?.received() else {
             if args.is_over(last.elapsed()) {
                 let seconds = last.elapsed().as_secs_f64();
                 let text = format!("no objects for {seconds:.1} s: does the sensor send?");

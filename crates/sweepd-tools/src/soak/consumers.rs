@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use fastrand::Rng;
 use rustix::process::Signal;
-use sweepd_client::client::{Client, ClientError, Domain, Sweep};
+use sweepd_client::client::{Client, ClientError, Domain, Next, Sweep};
 use sweepd_lab::testkit::{Failure, Process, cannot};
 
 use super::sensors::SENSORS;
@@ -122,8 +122,8 @@ fn receive(client: &mut Client, received: &Mutex<Received>) {
     let next = client.next(Duration::from_millis(100));
     let mut received = lock(received);
     let taken = match &next {
-        Ok(Some(sweep)) => received.take(sweep),
-        Ok(None) => Ok(()),
+        Ok(Next::Received(sweep)) => received.take(sweep),
+        Ok(Next::Timeout | Next::Interrupted) => Ok(()),
         Err(error) => Err(error.to_string()),
     };
     if let Err(wrong) = taken {

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use crate::view::channels::{Command, Kind, Publisher, State, packed, sweep_bytes};
 use sweepd::cli::CliError;
-use sweepd_client::client::{Client, Domain};
+use sweepd_client::client::{Client, Domain, Next};
 use sweepd_client::host::realtime_ns;
 use sweepd_core::buffers::HeapBuffers;
 use sweepd_core::segment;
@@ -140,7 +140,7 @@ impl Live {
             Some(client) => client,
             None => self.client.insert(Client::within(&self.domain, name)?),
         };
-        let Some(sweep) = client.next(LOOK_EVERY)? else {
+        let Next::Received(sweep) = client.next(LOOK_EVERY)? else {
             return Ok(());
         };
         // Copied out of the loan at once: what browsers do takes as long as it likes.
