@@ -193,7 +193,7 @@ impl Watch<'_> {
         let now = Duration::from_nanos(receipt.monotonic_ns.unsigned_abs());
         self.note_losses(header, now);
         if let Some(table) = &mut self.table {
-            table.add(&sweep, latency_us, self.client.reopened());
+            table.add(&sweep, latency_us, &self.client);
         }
         let Some(model) = Model::from_code(header.model) else {
             let text = format!(

@@ -302,6 +302,8 @@ fn slow_stuck_and_greedy_consumers_delay_no_one() {
             assert_eq!(got, [sequence - 1, sequence]);
         }
     }
+    // Of ten times 50 the newest two came; those before the first that came are not counted.
+    assert_eq!([good.missed(), slow.missed()], [0, 9 * 48]);
     // What is held stays as it was.
     assert_eq!(held.iter().map(number).collect::<Vec<_>>(), [0, 1]);
     held.clear();

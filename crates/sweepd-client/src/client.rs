@@ -20,6 +20,26 @@ use crate::subscriber::{Received, Subscriber};
 #[derive(Debug)]
 pub struct Client {
     subscriber: Subscriber,
+    missed: Missed,
+}
+
+/// Counts the sweeps that did not come.
+#[derive(Debug, Default)]
+struct Missed {
+    sweeps: u64,
+    /// Run and number of the newest sweep that came.
+    newest: Option<(i64, u64)>,
+}
+
+impl Missed {
+    fn note(&mut self, run_ns: i64, sequence: u64) {
+        if let Some((of_run_ns, newest)) = self.newest.replace((run_ns, sequence))
+            && of_run_ns == run_ns
+        {
+            let skipped = sequence.saturating_sub(newest.saturating_add(1));
+            self.sweeps = self.sweeps.saturating_add(skipped);
+        }
+    }
 }
 
 /// A sweep in shared memory, which does not change until this is dropped.
@@ -71,6 +91,7 @@ impl Client {
     pub fn within(domain: &Domain, sensor: &str) -> Result<Self, ClientError> {
         Ok(Self {
             subscriber: Subscriber::new(domain, sensor, Topic::Sweeps)?,
+            missed: Missed::default(),
         })
     }
 
@@ -86,17 +107,30 @@ impl Client {
     /// that the program handles ends the wait at once; one that comes between two waits ends
     /// neither.
     ///
-    /// A slow consumer gets the newest two: gaps in
-    /// [`Header::sequence`](sweepd_sweep::Header::sequence) show what it missed.
+    /// A slow consumer gets the newest two: [`Client::missed`] counts the others.
     ///
     /// # Errors
     /// [`ClientError`]: an error that does not pass by waiting.
     pub fn next(&mut self, timeout: Duration) -> Result<Next<Sweep>, ClientError> {
         let next = self.subscriber.wait(timeout)?.read(Sweep::of);
-        next.map_err(|source| ClientError::Layout {
+        let next = next.map_err(|source| ClientError::Layout {
             name: self.subscriber.name().to_owned(),
             source,
-        })
+        })?;
+        if let Next::Received(sweep) = &next {
+            self.missed.note(sweep.header.run_ns, sweep.header.sequence);
+        }
+        Ok(next)
+    }
+
+    /// Sweeps that were published and that this client did not get, most often since the program was
+    /// too slow: gaps in [`Header::sequence`](sweepd_sweep::Header::sequence), between the first and
+    /// the newest sweep that it got of a run, summed over the runs. What was published before, and
+    /// between the last sweep of a run and the first of the next, is not counted: no number tells of
+    /// it, and a restart of the daemon is no loss. One that came and was no valid sweep counts as
+    /// soon as a valid one follows.
+    pub fn missed(&self) -> u64 {
+        self.missed.sweeps
     }
 
     /// The objects of the same sensor while its head turns. The daemon notices the consumer within
@@ -214,5 +248,35 @@ impl Sweep {
     /// Its bytes, as [`sweepd_sweep::layout`] defines them.
     pub fn bytes(&self) -> &[u8] {
         self.received.as_ref()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What is counted after these sweeps, each a run and a number.
+    fn missed(sweeps: &[(i64, u64)]) -> u64 {
+        let mut missed = Missed::default();
+        for &(run_ns, sequence) in sweeps {
+            missed.note(run_ns, sequence);
+        }
+        missed.sweeps
+    }
+
+    #[test]
+    fn gaps_within_a_run_are_missed_and_a_restart_is_no_loss() {
+        assert_eq!(missed(&[]), 0);
+        // What was before the first.
+        assert_eq!(missed(&[(1, 7)]), 0);
+        assert_eq!(missed(&[(1, 7), (1, 8), (1, 9)]), 0);
+        // 8 and 9; 12.
+        assert_eq!(missed(&[(1, 7), (1, 10), (1, 11), (1, 13)]), 3);
+        // 8; then of another run 5, and not 0 to 3.
+        assert_eq!(missed(&[(1, 7), (1, 9), (2, 4), (2, 6)]), 2);
+        // Out of order, which is no sweepd's.
+        assert_eq!(missed(&[(1, 7), (1, 7), (1, 3)]), 0);
+        let most = u64::MAX;
+        assert_eq!(missed(&[(1, most), (1, most), (1, 0), (1, most)]), most - 1);
     }
 }

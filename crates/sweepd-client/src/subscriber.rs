@@ -277,13 +277,16 @@ impl Subscriber {
             if rest.is_zero() {
                 return Ok(Next::Timeout);
             }
-            match open
-                .listener
-                .timed_wait(|_| {}, rest.clamp(LEAST, LOOK_EVERY))
-            {
+            let listener = &open.listener;
+            match listener.timed_wait(|_| {}, rest.clamp(LEAST, LOOK_EVERY)) {
+                Ok(_) => {}
                 Err(ListenerWaitError::InterruptSignal) => return Ok(Next::Interrupted),
-                woken => woken.map_err(SubscribeError::service)?,
-            };
+                Err(error) => {
+                    // The next wait opens the service anew.
+                    self.open = None;
+                    return Err(SubscribeError::service(error));
+                }
+            }
         }
     }
 

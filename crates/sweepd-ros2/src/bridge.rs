@@ -154,14 +154,6 @@ impl Seen {
 
 impl Tally {
     fn add(&mut self, header: &Header) {
-        if let Some((before, _)) = &self.newest
-            && before.run_ns == header.run_ns
-        {
-            let skipped = header
-                .sequence
-                .saturating_sub(before.sequence.saturating_add(1));
-            self.missed_sweeps = self.missed_sweeps.saturating_add(skipped);
-        }
         self.sweeps += 1;
         self.lost_packets += u64::from(header.lost_packets);
         self.dropped_datagrams += u64::from(header.dropped_datagrams);
@@ -177,8 +169,10 @@ impl Bridge {
     /// Publishes the sensor's sweeps until the program is over: before there is a daemon, over its
     /// restarts, and when it is gone.
     pub fn run(&self, domain: &Domain, transforms: Option<&Transforms>, over: &AtomicBool) {
+        // Kept after an error, for its count.
+        let mut client = None;
         while !over.load(Ordering::Relaxed) {
-            let Err(error) = self.follow(domain, transforms, over) else {
+            let Err(error) = self.follow(&mut client, domain, transforms, over) else {
                 return;
             };
             let trouble = error.to_string();
@@ -195,21 +189,27 @@ impl Bridge {
 
     fn follow(
         &self,
+        client: &mut Option<Client>,
         domain: &Domain,
         transforms: Option<&Transforms>,
         over: &AtomicBool,
     ) -> Result<(), ClientError> {
-        let mut client = Client::within(domain, &self.name)?;
+        let client = match client {
+            Some(client) => client,
+            None => client.insert(Client::within(domain, &self.name)?),
+        };
         let mut last: Option<Instant> = None;
         while !over.load(Ordering::Relaxed) {
             match client.next(LOOK_EVERY)?.received() {
                 Some(sweep) => {
                     let is_first = last.replace(Instant::now()).is_none();
+                    self.seen
+                        .with_tally(|tally| tally.missed_sweeps = client.missed());
                     self.publish(sweep, is_first, transforms)?;
                 }
                 None if last.is_some_and(|last| last.elapsed() >= PATIENCE) => {
                     last = None;
-                    self.note_silence(&client);
+                    self.note_silence(client);
                 }
                 None => {}
             }

@@ -48,7 +48,6 @@ pub fn record(
             client,
             sender,
             counts: Counts::default(),
-            newest: None,
         };
         let received = reception.run(args, over, begun, bytes);
         let counts = reception.counts;
@@ -96,8 +95,6 @@ struct Reception {
     client: Client,
     sender: SyncSender<SweepMessages>,
     counts: Counts,
-    /// Run and sequence of the newest sweep.
-    newest: Option<(i64, u64)>,
 }
 
 impl Reception {
@@ -117,7 +114,7 @@ impl Reception {
                 (last, is_noted) = (Instant::now(), false);
                 let view = sweep.view();
                 let view = view.map_err(|error| CliError::Usage(error.to_string()))?;
-                self.note_missed(view.header.run_ns, view.header.sequence);
+                self.counts.missed = self.client.missed();
                 is_open = self.send(SweepMessages::of(&view));
             } else if last.elapsed() > SILENCE && !is_noted {
                 let why = match self.client.is_published() {
@@ -138,14 +135,6 @@ impl Reception {
         }
         line.finish_and_clear();
         Ok(())
-    }
-
-    fn note_missed(&mut self, run_ns: i64, sequence: u64) {
-        if let Some((newest_run_ns, newest)) = self.newest.replace((run_ns, sequence))
-            && newest_run_ns == run_ns
-        {
-            self.counts.missed += sequence.saturating_sub(newest + 1);
-        }
     }
 
     /// Hands a sweep to the thread that writes; whether that is still there.

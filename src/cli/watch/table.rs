@@ -4,6 +4,7 @@ use std::io::{self, Write};
 use std::time::{Duration, Instant};
 
 use crate::cli::output::LatencyUs;
+use sweepd_client::client::Client;
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::flags;
@@ -24,7 +25,8 @@ pub struct Table {
     /// Model and mode of the last sweep, as printed.
     shown: String,
     kind: String,
-    last: Option<(i64, u64)>,
+    /// Sweeps that were missed before this line.
+    missed: u64,
 }
 
 /// The sweeps of a line.
@@ -56,12 +58,12 @@ impl Table {
             lines: 0,
             shown: String::new(),
             kind: String::new(),
-            last: None,
+            missed: 0,
         }
     }
 
     /// Adds a sweep to the line.
-    pub fn add(&mut self, sweep: &SweepRef<'_>, latency: LatencyUs, reopened: u64) {
+    pub fn add(&mut self, sweep: &SweepRef<'_>, latency: LatencyUs, client: &Client) {
         let header = sweep.header;
         let line = &mut self.line;
         if line.sweeps == 0 {
@@ -77,17 +79,10 @@ impl Table {
         line.lost_packets += u64::from(header.lost_packets);
         line.dropped += u64::from(header.dropped_datagrams);
         line.rpm = header.rpm;
-        line.reopened = reopened;
+        line.reopened = client.reopened();
+        line.missed = client.missed() - self.missed;
         line.chain_us.extend(latency.live_arrival());
         line.slowest_us = line.slowest_us.max(latency.completed);
-        if let Some((run_ns, sequence)) = self.last
-            && run_ns == header.run_ns
-        {
-            line.missed = line
-                .missed
-                .saturating_add(header.sequence.saturating_sub(sequence.saturating_add(1)));
-        }
-        self.last = Some((header.run_ns, header.sequence));
         let model = Model::from_code(header.model).map_or("unknown model", |model| model.name());
         self.kind = format!(
             "{}: {model}, {} returns, from {}",
@@ -140,6 +135,7 @@ impl Table {
             self.lines = 0;
         }
         self.lines += 1;
+        self.missed += line.missed;
         line.write(&mut out, sweeps_per_second)
     }
 }

@@ -28,7 +28,7 @@ pub(super) struct Live {
     client: Option<Client>,
     buffers: HeapBuffers,
     listed: Option<Instant>,
-    /// The run and number of the newest sweep, and when it came.
+    /// The run of the newest sweep, and when it came.
     newest: Option<Newest>,
     /// When this sensor was first looked for.
     since: Instant,
@@ -43,7 +43,6 @@ pub(super) struct Live {
 #[derive(Clone, Copy)]
 struct Newest {
     run_ns: i64,
-    sequence: u64,
     at: Instant,
     arrival_ns: i64,
 }
@@ -140,9 +139,11 @@ impl Live {
             Some(client) => client,
             None => self.client.insert(Client::within(&self.domain, name)?),
         };
+        let missed_before = client.missed();
         let Next::Received(sweep) = client.next(LOOK_EVERY)? else {
             return Ok(());
         };
+        let missed = client.missed() - missed_before;
         // Copied out of the loan at once: what browsers do takes as long as it likes.
         let copy = sweep
             .view()
@@ -153,38 +154,30 @@ impl Live {
             && let Some(bytes) = sweep_bytes(copy)
             && let Ok(view) = SweepRef::open(&bytes)
         {
-            let missed = self.count(view.header);
+            self.count(view.header, missed);
             self.publisher.show(None, missed, bytes);
         }
         Ok(())
     }
 
-    /// Counts a sweep; returns how many before it did not come.
-    fn count(&mut self, header: &Header) -> u64 {
+    /// Counts a sweep, and how many before it did not come.
+    fn count(&mut self, header: &Header, missed: u64) {
         let now = Newest {
             run_ns: header.run_ns,
-            sequence: header.sequence,
             at: Instant::now(),
             arrival_ns: header.arrival_ns,
         };
-        let missed = match self.newest.replace(now) {
-            Some(before) if before.run_ns == now.run_ns => now
-                .sequence
-                .saturating_sub(before.sequence.saturating_add(1)),
-            Some(_) => {
-                self.counts.restarts += 1;
-                self.restarted = Some(now.at);
-                0
-            }
-            None => 0,
-        };
         let counts = &mut self.counts;
+        let before = self.newest.replace(now);
+        if before.is_some_and(|before| before.run_ns != now.run_ns) {
+            counts.restarts += 1;
+            self.restarted = Some(now.at);
+        }
         counts.sweeps += 1;
         counts.missed = counts.missed.saturating_add(missed);
         counts.lost += u64::from(header.lost_packets);
         counts.dropped += u64::from(header.dropped_datagrams);
         self.note_mount(header);
-        missed
     }
 
     /// What the daemon segments with, as far as sweeps tell it.
