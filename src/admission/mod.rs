@@ -75,6 +75,7 @@ pub struct Refused {
 
 /// Why a datagram reaches no sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Refusal {
     /// Neither as long as a data packet nor as a position packet.
     Length,

@@ -7,6 +7,7 @@ use std::io;
 /// A damaged or cut capture is not an error: it is read up to the damage, which [`Truncation`]
 /// describes.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum CaptureError {
     /// No such file, or no right to read it.
     #[error("cannot open {name}: {source}")]
@@ -95,6 +96,7 @@ impl std::fmt::Display for Place {
 
 /// The damage where a capture breaks off.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum Damage {
     /// The writer was stopped, the copy was cut.
     #[error("the file ends inside it")]

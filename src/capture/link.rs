@@ -73,6 +73,7 @@ impl std::fmt::Display for LinkType {
 
 /// Why a frame gave no datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum NoDatagram {
     /// ARP, LLDP, an 802.3 frame.
     #[error("not an IP packet")]

@@ -16,6 +16,7 @@ use sweepd_client::client::ClientError;
 
 /// Why a command did not complete.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum CliError {
     /// The capture cannot be read.
     #[error(transparent)]

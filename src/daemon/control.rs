@@ -409,6 +409,7 @@ impl Control {
                      `sweepd calib`",
                     differences.len()
                 ),
+                Event::Notice(other) => warn!("{name}: {other:?}"),
                 Event::Reconfigured(Ok(())) => {
                     watcher.reconfigured();
                     info!("{name}: decoded with the new configuration");

@@ -35,6 +35,7 @@ const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Why the daemon cannot run, or cannot go on.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum DaemonError {
     /// A port cannot be listened on.
     #[error(transparent)]

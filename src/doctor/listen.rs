@@ -204,7 +204,7 @@ impl DecodedSensor {
             match notice {
                 Notice::AwaitsCalibration => self.observed.awaits_calibration = true,
                 Notice::Calibrated { .. } => self.observed.awaits_calibration = false,
-                Notice::OtherCalibration { .. } | Notice::MistakenUnit { .. } => {}
+                _ => {}
             }
         }
     }

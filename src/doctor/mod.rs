@@ -115,6 +115,7 @@ const FACTORY: Ipv4Addr = Ipv4Addr::new(192, 168, 1, 201);
 
 /// Why nothing can be found out.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ExamineError {
     /// An open port fails.
     #[error(transparent)]

@@ -12,6 +12,7 @@ const MAX_FILE_LEN: u64 = 64 << 20;
 
 /// Why a picture is no mask.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum MaskFileError {
     /// The file cannot be read at all.
     #[error("cannot read {name}: {source}")]

@@ -16,6 +16,7 @@ use sweepd_core::sensor::{Calibration, CalibrationError};
 
 /// Why a calibration could not be read from a file.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum CalibrationFileError {
     /// The file cannot be read at all.
     #[error("cannot read the calibration {}: {source}", path.display())]

@@ -21,6 +21,7 @@ pub enum Existing {
 
 /// Why an output cannot be written.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum WriteError {
     /// The directory does not exist and cannot be made.
     #[error("cannot create the directory {}: {cause}", path.display())]

@@ -12,6 +12,7 @@ use crate::text::count_of;
 
 /// What became of a part that a killed recording left.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Recovery {
     /// It can be read as it is, and has a name of its own.
     Named {

@@ -7,6 +7,7 @@ use sweepd_client::join::JoinError;
 
 /// Why sweeps cannot be shared.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum PublishError {
     /// The folder, or shared memory itself.
     #[error(transparent)]

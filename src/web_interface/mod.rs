@@ -102,6 +102,7 @@ impl Page {
 
 /// Why a command did not complete.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum CommandError {
     /// The sensor was not reached: nothing was changed.
     #[error("{0}")]

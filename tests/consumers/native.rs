@@ -297,6 +297,7 @@ pub fn compare_refusals(
                 | LayoutError::ObjectsVersion { .. },
             ) => 2,
             Err(LayoutError::Inconsistent) => 3,
+            Err(other) => panic!("{other}"),
         };
         writeln!(expected, "{status}").unwrap();
     }

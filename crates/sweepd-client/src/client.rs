@@ -52,6 +52,7 @@ pub struct Sweep {
 
 /// Why no sweep can be had.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ClientError {
     /// The service.
     #[error(transparent)]

@@ -35,6 +35,7 @@ pub struct Domain {
 
 /// Why a domain cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum DomainError {
     /// It belongs to another user. Root could open it, and would silently get nothing.
     #[error(

@@ -10,6 +10,7 @@ use crate::{host, leftovers};
 
 /// Why a process cannot join a domain.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum JoinError {
     /// The folder, or a file of another user's.
     #[error(transparent)]

@@ -39,6 +39,7 @@ const FULL_FOR: Duration = Duration::from_secs(2);
 
 /// Why no sweeps can be had.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum SubscribeError {
     /// The folder, whose it is, or shared memory itself.
     #[error(transparent)]

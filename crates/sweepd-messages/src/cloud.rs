@@ -78,6 +78,7 @@ pub struct Fields {
 
 /// A list of fields that cannot be.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum FieldsError {
     /// Not a field.
     #[error("a point has no field {0:?}: fields are x, y, z, intensity, ring, time and label")]

@@ -31,6 +31,7 @@ pub struct Environment {
 /// A variable of the environment that makes no sense.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{variable} is `{value}`: {cure}")]
+#[non_exhaustive]
 pub struct EnvironmentError {
     variable: &'static str,
     value: String,

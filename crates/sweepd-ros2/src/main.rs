@@ -129,7 +129,7 @@ impl From<NodeError> for Failure {
     fn from(error: NodeError) -> Self {
         let code = match error {
             NodeError::Name { .. } => EX_CONFIG,
-            NodeError::Domain { .. } => 1,
+            _ => 1,
         };
         Self {
             what: error.to_string(),

@@ -31,6 +31,7 @@ pub enum Durability {
 
 /// Why there is no node or publisher.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum NodeError {
     /// A name that ROS does not take.
     #[error("`{name}` is no name of a {what}: {cure}")]
@@ -198,6 +199,7 @@ pub struct Publisher {
 
 /// What a publisher did.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Statistics {
     /// Messages that went to someone.
     pub messages: u64,
@@ -209,6 +211,7 @@ pub struct Statistics {
 
 /// A subscriber of a publisher.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Subscriber {
     /// Where its messages go. All subscribers of a process may share that.
     pub address: SocketAddrV4,

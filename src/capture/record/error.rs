@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 /// Why a recording cannot be begun or cannot go on.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum RecordError {
     /// The name says no format.
     #[error("{}: expected a name that ends in .pcap or .pcap.gz", path.display())]

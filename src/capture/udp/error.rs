@@ -7,6 +7,7 @@ use super::Holder;
 
 /// Why a port cannot be listened on.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum UdpError {
     /// Another program has the port.
     #[error("port {port} is {}; stop it, or choose another port and have the sensor send there", held(*.port, .holder))]

@@ -232,6 +232,7 @@ fn explain_notice(notice: &Notice) -> (&'static str, String) {
             );
             ("warning", text)
         }
+        other => ("note", format!("{other:?}")),
     }
 }
 

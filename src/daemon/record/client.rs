@@ -16,6 +16,7 @@ const SILENCE: Duration = Duration::from_secs(5);
 
 /// Why a daemon does not record.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum RemoteRecordError {
     /// No daemon is there.
     #[error(

@@ -33,6 +33,7 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 
 /// Why the daemon cannot be asked for recordings.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum SocketError {
     /// Another daemon listens there.
     #[error("another daemon listens at {}; stop it, or give this one a --root of its own", path.display())]

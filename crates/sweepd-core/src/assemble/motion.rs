@@ -139,6 +139,7 @@ pub struct Motion {
 
 /// Why a packet cannot come from a turning head.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum Implausible {
     /// Blocks of one firing that do not share its azimuth.
     #[error("the blocks of one firing have one azimuth, these do not")]

@@ -94,6 +94,7 @@ pub(super) struct Events {
 
 /// What happened that people want to know of, apart from the sweeps.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Notice {
     /// An HDL-64E is known and no calibration was given: nothing is decoded until the one in its
     /// packets is complete.

@@ -61,6 +61,7 @@ impl Default for Config {
 
 /// A [`Config`] that no sweep can be segmented with.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum ConfigError {
     /// The angle of the beta test.
     #[error("theta is {found_deg} degrees, expected more than 0 and less than 90")]

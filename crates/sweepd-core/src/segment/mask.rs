@@ -20,6 +20,7 @@ pub struct Mask {
 
 /// Why an image is no mask.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum MaskError {
     /// Its height is that of no sensor, or it is absurdly wide.
     #[error(

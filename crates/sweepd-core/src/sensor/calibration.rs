@@ -158,6 +158,7 @@ pub struct Calibration {
 /// Why a calibration cannot be used. Every variant names the file and, if it is one value, its line
 /// and key.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum CalibrationError {
     /// The text is not a calibration, or one of its values is missing or impossible.
     #[error("{file}:{line}: {message}")]

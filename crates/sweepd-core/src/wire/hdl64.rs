@@ -137,6 +137,7 @@ const _: () = assert!(size_of::<Dump>() == DUMP_LEN);
 
 /// Why a complete dump cannot be what the sensor sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum DumpError {
     /// It does not begin with `UNIT#`.
     #[error("it does not begin with UNIT#")]

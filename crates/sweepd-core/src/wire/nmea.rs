@@ -18,6 +18,7 @@ pub struct Rmc {
 
 /// Why a sentence is not a usable RMC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum NmeaError {
     /// Another sentence (GGA, ...), or not a sentence.
     #[error("not an RMC sentence")]

@@ -69,6 +69,7 @@ impl Shape {
 
 /// Why bytes are not a sweep, or not a message of objects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum LayoutError {
     /// Too short, or not aligned to 8 bytes.
     #[error("{bytes} bytes cannot hold all parts, or are not aligned to 8 bytes")]

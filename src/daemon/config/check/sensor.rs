@@ -415,8 +415,8 @@ impl Check<'_> {
             ConfigError::Range { .. } if config.max_range_m.is_infinite() => "min_range_m",
             ConfigError::Range { .. } => "max_range_m",
             ConfigError::Height { .. } => "height_m",
-            // No key of a file sets it.
-            ConfigError::Gap { .. } => "",
+            // No key of a file sets it, as the gap.
+            _ => "",
         };
         let to_blame = numbers.find(|(setting, _)| setting.key == key);
         self.problem(
