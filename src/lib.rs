@@ -83,6 +83,7 @@ pub mod files;
 pub mod http;
 pub mod publish;
 pub mod sensor_settings;
+pub mod streams;
 mod suggest;
 pub mod text;
 pub mod tool;

@@ -8,7 +8,7 @@ use std::net::SocketAddr;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Refusal, RefusalCounts, Refused, Route, SensorFilter, SensorSet, canonical};
+use super::{Admitted, Refusal, RefusalCounts, Refused, Route, SensorFilter, SensorSet, canonical};
 use sweepd_core::wire::data::{FLAG_BANK_0, FLAG_BANK_1};
 use sweepd_core::wire::{Content, DataPacket, Datagram, Packet};
 
@@ -83,7 +83,7 @@ impl DiscoveredSensors {
     /// # Errors
     /// [`Refused`]: it is not a packet, or not of a selected sensor. With [`Refusal::TooMany`] it
     /// is a valid packet.
-    pub fn admit<'a>(&mut self, datagram: &Datagram<'a>) -> Result<(Route, Packet<'a>), Refused> {
+    pub fn admit<'a>(&mut self, datagram: &Datagram<'a>) -> Admitted<'a> {
         self.admit_from(datagram, None)
     }
 
@@ -91,11 +91,7 @@ impl DiscoveredSensors {
     ///
     /// # Errors
     /// As there.
-    pub fn admit_from<'a>(
-        &mut self,
-        datagram: &Datagram<'a>,
-        topic: Option<&str>,
-    ) -> Result<(Route, Packet<'a>), Refused> {
+    pub fn admit_from<'a>(&mut self, datagram: &Datagram<'a>, topic: Option<&str>) -> Admitted<'a> {
         let admitted = self.find(datagram, topic);
         match &admitted {
             Ok((Route::Data(index), _)) => self.senders[*index].packets += 1,
@@ -153,11 +149,7 @@ impl DiscoveredSensors {
         self.refusals.total() - malformed
     }
 
-    fn find<'a>(
-        &mut self,
-        datagram: &Datagram<'a>,
-        topic: Option<&str>,
-    ) -> Result<(Route, Packet<'a>), Refused> {
+    fn find<'a>(&mut self, datagram: &Datagram<'a>, topic: Option<&str>) -> Admitted<'a> {
         let source = canonical(datagram.source);
         let known = self.known(source, datagram.destination_port);
         let packet = datagram.parse().map_err(|error| {
@@ -304,14 +296,14 @@ mod tests {
         }
     }
 
-    fn indices(admitted: Result<(Route, Packet<'_>), Refused>) -> Vec<usize> {
+    fn indices(admitted: Admitted<'_>) -> Vec<usize> {
         match admitted.unwrap().0 {
             Route::Data(index) => vec![index],
             Route::Position(set) => set.collect(),
         }
     }
 
-    fn reason(admitted: Result<(Route, Packet<'_>), Refused>) -> Refusal {
+    fn reason(admitted: Admitted<'_>) -> Refusal {
         admitted.unwrap_err().reason
     }
 

@@ -13,7 +13,7 @@ mod filter;
 use std::net::SocketAddr;
 
 use serde::{Deserialize, Serialize};
-use sweepd_core::wire::PacketError;
+use sweepd_core::wire::{Packet, PacketError};
 
 pub use configured::{ConfiguredSensor, ConfiguredSensors, Likelihood};
 pub use discovered::{DiscoveredSensors, MAX_SENSORS, Sender};
@@ -28,6 +28,9 @@ pub enum Route {
     Position(SensorSet),
 }
 
+/// What a datagram is and whose, or why it reaches no sensor.
+pub type Admitted<'a> = Result<(Route, Packet<'a>), Refused>;
+
 /// A set of sensors, as an iterator over their numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SensorSet(u64);
@@ -41,6 +44,14 @@ impl SensorSet {
     /// In debug builds, if its number is 64 or more.
     pub fn insert(&mut self, index: usize) {
         self.0 |= 1 << index;
+    }
+}
+
+impl From<Option<usize>> for SensorSet {
+    fn from(sensor: Option<usize>) -> Self {
+        let mut set = Self::default();
+        sensor.into_iter().for_each(|index| set.insert(index));
+        set
     }
 }
 

@@ -119,6 +119,18 @@ pub struct Placed<'a> {
     pub datagram: Datagram<'a>,
 }
 
+impl<'a> From<Datagram<'a>> for Placed<'a> {
+    /// A datagram that is in no capture.
+    fn from(datagram: Datagram<'a>) -> Self {
+        Self {
+            record: 0,
+            since_start_ns: 0,
+            topic: None,
+            datagram,
+        }
+    }
+}
+
 /// What is remembered of the records read.
 #[derive(Default)]
 struct CaptureStats {

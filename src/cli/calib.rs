@@ -7,18 +7,19 @@ use std::path::{Path, PathBuf};
 
 use super::output::ForceOptions;
 use super::{CliError, complain};
-use crate::admission::{DiscoveredSensors, Route, SensorFilter};
-use crate::capture::Capture;
+use crate::admission::{Sender, SensorFilter};
+use crate::capture::{Capture, Placed};
 use crate::files;
 use crate::files::output;
+use crate::streams::{Stream, Streams};
 use crate::text::{count_of, grouped};
 use sweepd_core::sensor::compare::{
     ANGLE_TOLERANCE_DEG, Difference, LENGTH_TOLERANCE_M, differences,
 };
 use sweepd_core::sensor::{Beam, Calibration, Model, ros_yaml, stream};
-use sweepd_core::wire::Content;
 use sweepd_core::wire::data::Banks;
 use sweepd_core::wire::hdl64::{DUMP_LEN, DUMP_PACKETS, DumpState, Series, Status};
+use sweepd_core::wire::{Content, Packet};
 
 /// Options of `sweepd calib`.
 #[derive(Debug, clap::Args)]
@@ -201,6 +202,7 @@ fn diff(path_a: &Path, path_b: &Path) -> Result<(), CliError> {
 /// The status that one HDL-64E of a capture sent.
 struct Unit {
     name: String,
+    /// Those that have the blocks of an HDL-64E.
     packets: u64,
     status: Status,
 }
@@ -259,33 +261,37 @@ fn only_unit(units: &[Unit]) -> Result<&Unit, String> {
 
 /// All HDL-64E of a capture, with their status.
 fn read_units(capture: &mut Capture, filter: Option<SensorFilter>) -> Result<Vec<Unit>, CliError> {
-    let mut sensors = DiscoveredSensors::new(filter.into_iter().collect());
-    let mut units: Vec<Option<Unit>> = Vec::new();
+    let mut streams = Streams::new(filter.into_iter().collect());
     while let Some(placed) = capture.next_placed()? {
-        let admitted = sensors.admit_from(&placed.datagram, placed.topic);
-        let Ok((Route::Data(index), packet)) = admitted else {
-            continue;
-        };
-        let Content::Data(packet) = packet.content else {
-            continue;
-        };
-        if units.len() <= index {
-            units.resize_with(index + 1, || None);
-        }
-        // Decided by the blocks, since the last two bytes may look like those of any model.
-        if packet.banks() != Banks::Alternating {
-            continue;
-        }
-        let unit = units[index].get_or_insert_with(|| Unit {
-            name: sensors.senders()[index].name.clone(),
+        let _ = streams.take(&placed, Unit::new)?;
+    }
+    streams.all.retain(|unit: &Unit| unit.packets > 0);
+    Ok(streams.all)
+}
+
+impl Unit {
+    fn new(_: usize, sender: &Sender) -> Result<Self, CliError> {
+        Ok(Self {
+            name: sender.name.clone(),
             packets: 0,
             status: Status::new(),
-        });
-        unit.packets += 1;
-        unit.status
-            .push(packet.return_mode, packet.product, packet.stamp_us());
+        })
     }
-    Ok(units.into_iter().flatten().collect())
+}
+
+impl Stream for Unit {
+    type Sweep = ();
+
+    fn take(&mut self, packet: Option<&Packet<'_>>, _: &Placed<'_>) {
+        // Decided by the blocks, since the last two bytes may look like those of any model.
+        if let Some(Content::Data(packet)) = packet.map(|packet| packet.content)
+            && packet.banks() == Banks::Alternating
+        {
+            self.packets += 1;
+            self.status
+                .push(packet.return_mode, packet.product, packet.stamp_us());
+        }
+    }
 }
 
 /// How much of the calibration was received, and what to do.

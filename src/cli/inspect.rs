@@ -16,9 +16,10 @@ use positions::Positions;
 use turns::Turns;
 
 use super::CliError;
-use crate::admission::{DiscoveredSensors, Route};
-use crate::capture::{Capture, LinkType};
+use crate::admission::{DiscoveredSensors, Refused, Route, Sender};
+use crate::capture::{Capture, LinkType, Placed};
 use crate::cure::{Dialect, explain_model};
+use crate::streams::{Stream, Streams};
 use crate::text::{count_of, grouped, rate, row, utc_text};
 use sweepd_core::assemble::motion::{Sector, TURN};
 use sweepd_core::assemble::order::{PacketGap, PacketOrder, Rejection};
@@ -46,8 +47,7 @@ pub struct Args {
 /// [`CliError`]: the capture cannot be read, or standard output not written.
 pub fn run(args: &Args) -> Result<(), CliError> {
     let mut capture = Capture::open(&args.capture)?;
-    let mut sensors = DiscoveredSensors::new(Vec::new());
-    let mut streams: Vec<DataStream> = Vec::new();
+    let mut streams = Streams::new(Vec::new());
     let mut positions: BTreeMap<IpAddr, Positions> = BTreeMap::new();
     let mut flows = Flows::default();
     let read = loop {
@@ -57,30 +57,19 @@ pub fn run(args: &Args) -> Result<(), CliError> {
             Err(error) => break Err(error),
         };
         let datagram = placed.datagram;
-        match sensors.admit_from(&datagram, placed.topic) {
-            Ok((Route::Data(index), packet)) => {
-                if index == streams.len() {
-                    streams.push(DataStream {
-                        turns: Turns::new().ok(),
-                        ..DataStream::default()
-                    });
-                }
-                streams[index].add(&packet);
-            }
+        match streams.take(&placed, DataStream::new)? {
             Ok((Route::Position(_), packet)) => {
                 let ip = datagram.source.ip().to_canonical();
                 positions.entry(ip).or_default().add(&packet);
             }
-            Err(refused) => match refused.sensor {
-                Some(index) => streams[index].add_malformed(datagram.arrival_ns),
-                // Of a bag they are counted.
-                None if placed.topic.is_some() => {}
-                None => flows.add(&datagram),
-            },
+            // Of a bag they are counted.
+            Err(Refused { sensor: None, .. }) if placed.topic.is_none() => flows.add(&datagram),
+            _ => {}
         }
     };
-    let mut text = describe(&capture, &sensors, &mut streams, &positions);
-    text += &describe_others(&capture, &sensors, &flows);
+    let Streams { sensors, all, .. } = &mut streams;
+    let mut text = describe(&capture, sensors, all, &positions);
+    text += &describe_others(&capture, sensors, &flows);
     io::stdout()
         .write_all(text.as_bytes())
         .map_err(CliError::Stdout)?;
@@ -255,7 +244,34 @@ impl Turn {
     }
 }
 
+impl Stream for DataStream {
+    type Sweep = ();
+
+    /// Position packets are counted by address.
+    fn take(&mut self, packet: Option<&Packet<'_>>, placed: &Placed<'_>) {
+        let Some(sent) = packet else {
+            self.add_arrival(placed.datagram.arrival_ns);
+            self.malformed += 1;
+            return;
+        };
+        if let Content::Data(packet) = sent.content {
+            self.add_arrival(sent.arrival_ns);
+            if let Some(turns) = &mut self.turns {
+                turns.add(sent);
+            }
+            self.add(packet, sent.arrival_ns);
+        }
+    }
+}
+
 impl DataStream {
+    fn new(_: usize, _: &Sender) -> Result<Self, CliError> {
+        Ok(Self {
+            turns: Turns::new().ok(),
+            ..Self::default()
+        })
+    }
+
     fn add_arrival(&mut self, arrival_ns: i64) {
         if self.packets == 0 {
             self.first_ns = arrival_ns;
@@ -264,21 +280,8 @@ impl DataStream {
         self.packets += 1;
     }
 
-    fn add_malformed(&mut self, arrival_ns: i64) {
-        self.add_arrival(arrival_ns);
-        self.malformed += 1;
-    }
-
-    /// Adds a data packet; ignores a position packet.
-    fn add(&mut self, sent: &Packet<'_>) {
-        let arrival_ns = sent.arrival_ns;
-        let Content::Data(packet) = sent.content else {
-            return;
-        };
-        self.add_arrival(arrival_ns);
-        if let Some(turns) = &mut self.turns {
-            turns.add(sent);
-        }
+    /// Adds a data packet.
+    fn add(&mut self, packet: &DataPacket, arrival_ns: i64) {
         if packet.banks() == Banks::Alternating {
             let status = self.status.get_or_insert_default();
             status.push(packet.return_mode, packet.product, packet.stamp_us());

@@ -11,9 +11,11 @@ mod track;
 use self::playback::Playback;
 use self::summary::{SensorReport, SummaryLine, Sums};
 use self::sweeps::{Finisher, Writer};
+use self::track::Setup;
 use super::output::Outputs;
 use super::{CliError, jobs};
 use crate::capture::{Capture, CaptureError};
+use crate::streams::Streams;
 
 pub use args::Args;
 
@@ -26,7 +28,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     args.publish.check()?;
     let mut replay = Replay::new(args)?;
     for played in 1.. {
-        let mut capture = progress::open(args, &replay.playback.progress)?;
+        let mut capture = progress::open(args, &replay.playback.setup.progress)?;
         replay.writer.outputs.remove_former()?;
         let read = replay.play(&mut capture)?;
         if read.is_err() || !args.play.again(played) || !replay.is_worth_playing_again() {
@@ -83,8 +85,9 @@ impl<'a> Replay<'a> {
     /// Whether another round could bring more than this one, and nothing that was asked for is
     /// missing.
     fn is_worth_playing_again(&self) -> bool {
-        let Playback { args, tracks, .. } = &self.playback;
-        let is_all_shared = args.publish.left_over(tracks.len()).is_empty();
+        let Playback { setup, streams, .. } = &self.playback;
+        let left_over = setup.args.publish.left_over(streams.all.len());
+        let is_all_shared = left_over.is_empty();
         let is_sent = self.playback.sender.is_some();
         is_all_shared && (is_sent || self.writer.sums.iter().any(Sums::any))
     }
@@ -92,11 +95,9 @@ impl<'a> Replay<'a> {
     /// The summary, and an error when something could not be read or decoded.
     fn conclude(self, capture: &Capture, read: Result<(), CaptureError>) -> Result<(), CliError> {
         let Playback {
-            args,
-            tracks,
-            sensors,
+            setup: Setup { args, progress, .. },
+            streams: Streams { all, sensors, .. },
             others_before,
-            progress,
             ..
         } = self.playback;
         let Writer {
@@ -105,7 +106,7 @@ impl<'a> Replay<'a> {
         progress.finish_and_clear();
         let timing = !args.output.no_timing;
         let none = Sums::default();
-        let reports: Vec<SensorReport<'_>> = tracks
+        let reports: Vec<SensorReport<'_>> = all
             .iter()
             .enumerate()
             .map(|(index, track)| track.report(sums.get(index).unwrap_or(&none)))
@@ -118,7 +119,7 @@ impl<'a> Replay<'a> {
         }
         let is_read = messages::show_damage(capture, read);
         let is_complete = messages::show_missing(args, capture, &sensors, &reports);
-        let is_decoded = tracks.iter().all(|track| track.fault.is_none());
+        let is_decoded = all.iter().all(|track| track.fault.is_none());
         if is_read && is_complete && is_decoded {
             Ok(())
         } else {

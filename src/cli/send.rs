@@ -4,8 +4,8 @@ use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 
 use super::CliError;
-use crate::admission::{MAX_SENSORS, Refused, Route};
-use sweepd_core::wire::{Datagram, Packet};
+use crate::admission::{Admitted, MAX_SENSORS, Refused, Route};
+use sweepd_core::wire::Datagram;
 
 /// Sends to one address, each sensor from its own port, so that a receiver can distinguish them.
 ///
@@ -40,7 +40,7 @@ impl Sender {
     pub fn forward(
         &mut self,
         datagram: &Datagram<'_>,
-        admitted: &Result<(Route, Packet<'_>), Refused>,
+        admitted: &Admitted<'_>,
     ) -> Result<(), CliError> {
         let ip = datagram.source.ip().to_canonical();
         match admitted {

@@ -5,10 +5,11 @@ use std::time::{Duration, Instant};
 
 use super::observe::{ObservedPort, ObservedSensor, PortResult, PositionSender};
 use super::plan::Plan;
-use crate::admission::{DiscoveredSensors, Refusal, Route};
-use crate::capture::{UdpConfig, UdpError, UdpSource};
+use crate::admission::{Refusal, Route, Sender};
+use crate::capture::{Placed, UdpConfig, UdpError, UdpSource};
 use crate::cure::{Dialect, explain};
 use crate::sensor_settings::FieldOfView;
+use crate::streams::{Stream, Streams};
 use sweepd_core::buffers::{HeapBuffers, Memory};
 use sweepd_core::pipeline::{Config, Notice, Pipeline};
 use sweepd_core::segment::ConfigError;
@@ -43,11 +44,9 @@ impl Received {
 /// An open port.
 struct Listener {
     source: UdpSource,
-    admission: DiscoveredSensors,
+    streams: Streams<DecodedSensor>,
     /// Senders of datagrams that are not packets.
     others: Vec<(SocketAddr, u64)>,
-    /// By number of the sender.
-    sensors: Vec<DecodedSensor>,
 }
 
 /// A sensor, and the pipeline that decodes it.
@@ -82,14 +81,18 @@ pub fn listen(
             let Ok(listener) = &mut listeners[index] else {
                 continue;
             };
+            let port = listener.port();
             // GPS time goes to the sensor of the same address, on any port of its data.
             for (address, packet) in listener.receive(&mut positions)? {
                 for sensor in listeners
                     .iter_mut()
                     .flatten()
-                    .flat_map(|one| &mut one.sensors)
+                    .flat_map(|one| &mut one.streams.all)
                 {
-                    if sensor.observed.source.ip() == address.to_canonical() {
+                    let ObservedSensor {
+                        source, port: to, ..
+                    } = sensor.observed;
+                    if source.ip() == address.to_canonical() && to != port {
                         sensor.push(&packet);
                     }
                 }
@@ -113,7 +116,8 @@ pub fn listen(
                     others: listener.others,
                     buffer: listener.source.buffer(),
                 };
-                let sensors = listener.sensors.into_iter().map(DecodedSensor::finish);
+                let sensors = listener.streams.all.into_iter();
+                let sensors = sensors.map(DecodedSensor::finish);
                 received.sensors.extend(sensors);
                 result
             }
@@ -129,9 +133,8 @@ impl Listener {
         match UdpSource::bind(config) {
             Ok(source) => Ok(Self {
                 source,
-                admission: DiscoveredSensors::default(),
+                streams: Streams::new(Vec::new()),
                 others: Vec::new(),
-                sensors: Vec::new(),
             }),
             Err(error @ UdpError::PortTaken { .. }) => Err(PortResult::Taken(error.to_string())),
             Err(error) => Err(PortResult::Refused(error.to_string())),
@@ -142,25 +145,21 @@ impl Listener {
         self.source.local_addr().port()
     }
 
-    /// Takes waiting datagrams. Returns the position packets, with the address of each.
+    /// Takes waiting datagrams. Returns the position packets, with the address of each, for the
+    /// sensors of other ports.
     fn receive(
         &mut self,
         positions: &mut Vec<PositionSender>,
     ) -> Result<Vec<(IpAddr, Packet<'static>)>, UdpError> {
         let mut for_sensors = Vec::new();
         for datagram in self.source.receive(TURN)? {
-            match self.admission.admit(&datagram) {
-                Ok((Route::Data(index), packet)) => {
-                    while let Some(sender) = self.admission.senders().get(self.sensors.len()) {
-                        let new = DecodedSensor::new(sender.source, sender.destination_port);
-                        // The usual segmentation, which it asks for, is possible.
-                        let Ok(new) = new else { break };
-                        self.sensors.push(new);
-                    }
-                    if let Some(sensor) = self.sensors.get_mut(index) {
-                        sensor.push(&packet);
-                    }
-                }
+            let placed = Placed::from(datagram);
+            // The usual segmentation, which a sensor asks for, is possible.
+            let Ok(admitted) = self.streams.take(&placed, DecodedSensor::new) else {
+                continue;
+            };
+            match admitted {
+                Ok((Route::Data(_), _)) => {}
                 Ok((Route::Position(_), packet)) => {
                     let address = datagram.source.ip();
                     note_position(positions, address, &packet);
@@ -177,14 +176,24 @@ impl Listener {
     }
 }
 
+impl Stream for DecodedSensor {
+    type Sweep = ();
+
+    fn take(&mut self, packet: Option<&Packet<'_>>, _: &Placed<'_>) {
+        if let Some(packet) = packet {
+            self.push(packet);
+        }
+    }
+}
+
 impl DecodedSensor {
-    fn new(source: SocketAddr, port: u16) -> Result<Self, ConfigError> {
+    fn new(_: usize, sender: &Sender) -> Result<Self, ConfigError> {
         let mut config = Config::default();
         // The labels are not used.
         config.segment.min_range_m = 0.0;
         config.segment.max_range_m = 0.01;
         Ok(Self {
-            observed: ObservedSensor::new(source, port),
+            observed: ObservedSensor::new(sender.source, sender.destination_port),
             pipeline: Pipeline::new("", config)?,
             memory: Memory::default(),
             sweeps: 0,

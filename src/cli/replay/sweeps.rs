@@ -38,12 +38,6 @@ pub(super) struct JobBuffers {
     pub(super) job: Arc<AtomicUsize>,
 }
 
-impl JobBuffers {
-    pub(super) fn has_one_job(&self) -> bool {
-        self.buffers.len() == 1
-    }
-}
-
 impl Buffers for JobBuffers {
     type Buffer = Slot;
 

@@ -1,13 +1,19 @@
 //! One sensor of a replay: its packets through its pipeline.
 
+use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
+
 use indicatif::ProgressBar;
 
 use super::args::Args;
 use super::summary::{SensorReport, Sums};
 use super::sweeps::{JobBuffers, Sweep};
+use crate::capture::Placed;
 use crate::cli::objects::ObjectLines;
 use crate::cli::output::SweepId;
+use crate::cli::play::When;
 use crate::cli::{CliError, complain};
+use crate::streams::{SteadyTime, Stream};
 use crate::text::count_of;
 use sweepd_client::host::realtime_ns;
 use sweepd_core::buffers::Memory;
@@ -17,7 +23,17 @@ use sweepd_core::sensor::compare::Difference;
 use sweepd_core::sensor::detect::Detection;
 use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::flags;
-use sweepd_core::wire::Packet;
+use sweepd_core::wire::{Content, Packet};
+
+/// What the tracks of all sensors begin with.
+pub(super) struct Setup<'a> {
+    pub(super) args: &'a Args,
+    pub(super) config: Config,
+    pub(super) progress: ProgressBar,
+    pub(super) jobs: usize,
+    /// The job that takes a sweep.
+    pub(super) job: Arc<AtomicUsize>,
+}
 
 /// A sensor with its pipeline.
 pub(super) struct Track<'a> {
@@ -26,7 +42,7 @@ pub(super) struct Track<'a> {
     /// Number of the sensor.
     index: usize,
     name: String,
-    pub(super) pipeline: Pipeline,
+    pipeline: Pipeline,
     /// Whether the pipeline labels its sweeps.
     has_labels: bool,
     /// Kept from round to round.
@@ -41,38 +57,37 @@ pub(super) struct Track<'a> {
     /// Prints objects, if that was asked for.
     objects: Option<ObjectLines>,
     /// Arrival of the newest datagram of the capture.
-    pub(super) now_ns: i64,
+    newest_ns: i64,
     pub(super) fault: Option<String>,
 }
 
 impl<'a> Track<'a> {
     /// A new sensor.
-    pub(super) fn new(
-        args: &'a Args,
-        progress: &ProgressBar,
-        index: usize,
-        name: &str,
-        config: &Config,
-        buffers: JobBuffers,
-    ) -> Result<Self, CliError> {
-        let pipeline = pipeline(args, name, config)?;
+    pub(super) fn new(setup: &Setup<'a>, index: usize, name: &str) -> Result<Self, CliError> {
+        let args = setup.args;
+        let mut buffers = Vec::new();
+        for _ in 0..setup.jobs {
+            buffers.push(args.publish.loans(index, name)?);
+        }
+        let job = Arc::clone(&setup.job);
+        let pipeline = pipeline(args, name, &setup.config)?;
         if let Some(note) = args.publish.note(index, name) {
-            progress.suspend(|| complain("note", note));
+            setup.progress.suspend(|| complain("note", note));
         }
         Ok(Self {
             args,
-            progress: progress.clone(),
+            progress: setup.progress.clone(),
             index,
             name: name.to_owned(),
             pipeline,
-            has_labels: buffers.has_one_job(),
-            memory: Memory::new(buffers),
+            has_labels: setup.jobs == 1,
+            memory: Memory::new(JobBuffers { buffers, job }),
             run_ns: realtime_ns(),
             detection: None,
             emitted: 0,
             past: Counts::default(),
             objects: args.objects.then(ObjectLines::default),
-            now_ns: 0,
+            newest_ns: 0,
             fault: None,
         })
     }
@@ -85,29 +100,9 @@ impl<'a> Track<'a> {
         Ok(())
     }
 
-    /// Takes a packet from a record of the capture.
-    pub(super) fn push(&mut self, packet: &Packet<'_>, record: u64) {
-        if let Err(fault) = self.pipeline.push(packet) {
-            self.show_fault(&fault, &format!(", record {record}"));
-        }
-        self.detection = self.pipeline.detection().or(self.detection);
-        for notice in self.pipeline.take_notices() {
-            let (level, text) = explain_notice(&notice);
-            self.progress
-                .suspend(|| complain(level, format_args!("{}: {text}", self.name)));
-        }
-    }
-
     /// Segments what is there of the open sweep.
     pub(super) fn segment_early(&mut self) {
         self.pipeline.segment_early(&mut self.memory);
-    }
-
-    /// Closes the last sweep.
-    pub(super) fn end(&mut self) {
-        if let Err(fault) = self.pipeline.end() {
-            self.show_fault(&fault, "");
-        }
     }
 
     /// Of all rounds.
@@ -133,7 +128,7 @@ impl<'a> Track<'a> {
     ///
     /// # Errors
     /// [`CliError::Stdout`].
-    pub(super) fn next_sweep(&mut self) -> Result<Option<Sweep>, CliError> {
+    fn poll(&mut self) -> Result<Option<Sweep>, CliError> {
         while let Some(buffer) = match self.has_labels {
             true => self.pipeline.poll(&mut self.memory),
             false => self.pipeline.poll_unlabelled(&mut self.memory),
@@ -170,7 +165,7 @@ impl<'a> Track<'a> {
         if let Some(lines) = &mut self.objects
             && let Some(told) = self.pipeline.told()
         {
-            lines.print(&self.name, &told, self.now_ns)?;
+            lines.print(&self.name, &told, self.newest_ns)?;
         }
         Ok(())
     }
@@ -185,6 +180,45 @@ impl<'a> Track<'a> {
             self.progress.suspend(|| complain("error", message));
             self.fault = Some(fault);
         }
+    }
+}
+
+impl Stream for Track<'_> {
+    type Sweep = Result<Sweep, CliError>;
+
+    fn take(&mut self, packet: Option<&Packet<'_>>, placed: &Placed<'_>) {
+        let is_before = self.args.play.when(placed.since_start_ns) == When::Before;
+        let packet = match packet {
+            // Also before --start: they have the time.
+            Some(packet) if matches!(packet.content, Content::Position(..)) => packet,
+            _ if is_before => return self.pipeline.pass_over(),
+            Some(packet) => packet,
+            None => return self.pipeline.refuse(),
+        };
+        if let Err(fault) = self.pipeline.push(packet) {
+            self.show_fault(&fault, &format!(", record {}", placed.record));
+        }
+        self.detection = self.pipeline.detection().or(self.detection);
+        for notice in self.pipeline.take_notices() {
+            let (level, text) = explain_notice(&notice);
+            self.progress
+                .suspend(|| complain(level, format_args!("{}: {text}", self.name)));
+        }
+    }
+
+    fn tick(&mut self, time: SteadyTime) -> bool {
+        self.newest_ns = time.newest_ns;
+        self.pipeline.tick(time.now_ns)
+    }
+
+    fn end(&mut self) {
+        if let Err(fault) = self.pipeline.end() {
+            self.show_fault(&fault, "");
+        }
+    }
+
+    fn next_sweep(&mut self) -> Option<Result<Sweep, CliError>> {
+        self.poll().transpose()
     }
 }
 

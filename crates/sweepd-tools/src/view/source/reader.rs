@@ -3,21 +3,22 @@
 //! It gives the sweeps of `sweepd replay`, byte for byte, still without their labels: those are made
 //! of the sweeps that are shown ([`Labels`]).
 
-use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use super::simulation::Simulation;
-use sweepd::admission::{DiscoveredSensors, Route, SensorFilter};
+use sweepd::admission::SensorFilter;
 use sweepd::capture::{Capture, CaptureError, Placed};
 use sweepd::cure::{Dialect, explain};
+use sweepd::streams::{SteadyTime, Stream, Streams};
 use sweepd_client::host::monotonic_ns;
 use sweepd_core::buffers::HeapBuffer;
 use sweepd_core::buffers::{HeapBuffers, Memory};
-use sweepd_core::pipeline::{Config, Pipeline, TimedSegmenter};
+use sweepd_core::pipeline::{Config, Fault, Pipeline, TimedSegmenter};
 use sweepd_core::segment::{ConfigError, Segmenter};
 use sweepd_core::sweep::layout::flags;
 use sweepd_core::sweep::{SweepMut, SweepRef};
+use sweepd_core::wire::Packet;
 
 /// Where datagrams come from, again and again from the beginning.
 #[derive(Clone)]
@@ -56,12 +57,7 @@ pub(super) enum Step {
 pub(super) struct Reader {
     datagrams: Datagrams,
     config: Config,
-    sensors: DiscoveredSensors,
-    tracks: Vec<Track>,
-    /// Sweeps that are whole and not yet given.
-    whole: VecDeque<Decoded>,
-    /// Arrival of the datagram before.
-    before_ns: i64,
+    streams: Streams<Track>,
     is_over: bool,
     /// Why it ended before its end.
     broken: Option<String>,
@@ -74,6 +70,8 @@ enum Datagrams {
 
 /// A sensor.
 struct Track {
+    /// Its number.
+    sensor: usize,
     pipeline: Pipeline,
     memory: Memory<HeapBuffers>,
     sweeps: u64,
@@ -93,10 +91,7 @@ impl Reader {
         Ok(Self {
             datagrams,
             config: source_config.config.clone(),
-            sensors: DiscoveredSensors::new(source_config.filters.clone()),
-            tracks: Vec::new(),
-            whole: VecDeque::new(),
-            before_ns: i64::MAX,
+            streams: Streams::new(source_config.filters.clone()),
             is_over: false,
             broken: None,
         })
@@ -104,126 +99,57 @@ impl Reader {
 
     /// The names of the sensors so far, by number.
     pub(super) fn sensors(&self) -> impl Iterator<Item = &str> {
-        self.sensors.senders().iter().map(|sender| &sender.name[..])
+        let senders = self.streams.sensors.senders();
+        senders.iter().map(|sender| &sender.name[..])
     }
 
     /// Why it ended before its end, or why sweeps of a sensor are missing.
     pub(super) fn trouble(&self) -> Option<&str> {
-        let mut faults = self
-            .tracks
-            .iter()
-            .filter_map(|track| track.fault.as_deref());
+        let tracks = self.streams.all.iter();
+        let mut faults = tracks.filter_map(|track| track.fault.as_deref());
         self.broken.as_deref().or_else(|| faults.next())
     }
 
     /// Takes a datagram, or gives a sweep.
     pub(super) fn step(&mut self) -> Step {
-        if let Some(decoded) = self.whole.pop_front() {
+        if let Some(decoded) = self.streams.next_sweep() {
             return Step::Sweep(decoded);
         }
         if self.is_over {
             return Step::End;
         }
-        let Self {
-            datagrams,
-            config,
-            sensors,
-            tracks,
-            whole,
-            before_ns,
-            ..
-        } = self;
-        let mut take = |placed: &Placed<'_>| {
-            // A single late time may be corrupt: of two neighbours the earlier one counts.
-            let arrival_ns = placed.datagram.arrival_ns;
-            let now_ns = arrival_ns.min(*before_ns);
-            *before_ns = arrival_ns;
-            for (sensor, track) in tracks.iter_mut().enumerate() {
-                if track.pipeline.tick(now_ns) {
-                    track.poll(sensor, whole);
-                }
-            }
-            datagram(placed, config, sensors, tracks);
-            for (sensor, track) in tracks.iter_mut().enumerate() {
-                track.poll(sensor, whole);
-            }
-        };
-        match datagrams {
+        match &mut self.datagrams {
             Datagrams::Capture(capture) => match capture.next_placed() {
-                Ok(Some(placed)) => {
-                    take(&placed);
-                    return Step::More;
-                }
+                Ok(Some(placed)) => return take(&mut self.streams, &self.config, &placed),
                 Ok(None) => self.broken = capture.truncation().map(ToString::to_string),
                 Err(error) => self.broken = Some(error.to_string()),
             },
             Datagrams::Simulation(simulation, next) => {
                 if let Some(sent) = simulation.datagram(*next) {
                     *next += 1;
-                    take(&Placed {
-                        record: *next as u64,
-                        since_start_ns: 0,
-                        topic: None,
-                        datagram: sent.datagram(),
-                    });
-                    return Step::More;
+                    return take(&mut self.streams, &self.config, &sent.datagram().into());
                 }
             }
         }
-        self.end();
-        Step::More
-    }
-
-    /// Closes the last sweeps.
-    fn end(&mut self) {
         self.is_over = true;
-        for (sensor, track) in self.tracks.iter_mut().enumerate() {
-            if let Err(fault) = track.pipeline.end() {
-                track.fault = Some(explain(&fault, Dialect::CommandLine));
-            }
-            track.poll(sensor, &mut self.whole);
-        }
+        self.streams.end();
+        Step::More
     }
 }
 
-/// Gives a packet to its sensors.
-fn datagram(
-    placed: &Placed<'_>,
-    config: &Config,
-    sensors: &mut DiscoveredSensors,
-    tracks: &mut Vec<Track>,
-) {
-    match sensors.admit_from(&placed.datagram, placed.topic) {
-        Ok((Route::Data(index), packet)) => {
-            if index == tracks.len() {
-                // Checked before the first datagram.
-                let Ok(mut track) = Track::new(&sensors.senders()[index].name, config) else {
-                    return;
-                };
-                if let Some(position) = sensors.position(index) {
-                    // A position packet is never a fault.
-                    let _ = track.pipeline.push(position);
-                }
-                tracks.push(track);
-            }
-            tracks[index].push(&packet);
-        }
-        Ok((Route::Position(ours), packet)) => {
-            for index in ours {
-                tracks[index].push(&packet);
-            }
-        }
-        Err(refused) => {
-            if let Some(index) = refused.sensor {
-                tracks[index].pipeline.refuse();
-            }
-        }
-    }
+/// Gives a datagram to its sensors.
+fn take(streams: &mut Streams<Track>, config: &Config, placed: &Placed<'_>) -> Step {
+    // The configuration was checked before the first datagram.
+    let _ = streams.take(placed, |sensor, sender| {
+        Track::new(sensor, &sender.name, config)
+    });
+    Step::More
 }
 
 impl Track {
-    fn new(name: &str, config: &Config) -> Result<Self, ConfigError> {
+    fn new(sensor: usize, name: &str, config: &Config) -> Result<Self, ConfigError> {
         Ok(Self {
+            sensor,
             pipeline: Pipeline::new(name, config.clone())?.timed_by(monotonic_ns),
             memory: Memory::default(),
             sweeps: 0,
@@ -231,26 +157,48 @@ impl Track {
         })
     }
 
-    fn push(&mut self, packet: &sweepd_core::wire::Packet<'_>) {
-        if let Err(fault) = self.pipeline.push(packet) {
+    fn note(&mut self, taken: Result<(), Fault>) {
+        if let Err(fault) = taken {
             self.fault = Some(explain(&fault, Dialect::CommandLine));
         }
+    }
+}
+
+impl Stream for Track {
+    type Sweep = Decoded;
+
+    fn take(&mut self, packet: Option<&Packet<'_>>, _: &Placed<'_>) {
+        let Some(packet) = packet else {
+            return self.pipeline.refuse();
+        };
+        let taken = self.pipeline.push(packet);
+        self.note(taken);
         // They must not pile up.
         self.pipeline.take_notices();
     }
 
-    /// Fetches the sweeps that are whole. Partial ones have no number, as in a replay.
-    fn poll(&mut self, sensor: usize, whole: &mut VecDeque<Decoded>) {
-        while let Some(buffer) = self.pipeline.poll_unlabelled(&mut self.memory) {
+    fn tick(&mut self, time: SteadyTime) -> bool {
+        self.pipeline.tick(time.now_ns)
+    }
+
+    fn end(&mut self) {
+        let ended = self.pipeline.end();
+        self.note(ended);
+    }
+
+    /// Partial sweeps have no number, as in a replay.
+    fn next_sweep(&mut self) -> Option<Decoded> {
+        loop {
+            let buffer = self.pipeline.poll_unlabelled(&mut self.memory)?;
             let is_partial = SweepRef::open(buffer.as_ref())
                 .map_or(true, |sweep| sweep.header.has(flags::PARTIAL));
             if !is_partial {
-                whole.push_back(Decoded {
-                    sensor,
-                    index: self.sweeps,
+                self.sweeps += 1;
+                return Some(Decoded {
+                    sensor: self.sensor,
+                    index: self.sweeps - 1,
                     buffer,
                 });
-                self.sweeps += 1;
             }
         }
     }

@@ -1,0 +1,132 @@
+//! Datagrams to the sensors that sent them, wherever no configuration names these: in captures, and
+//! for the doctor.
+//!
+//! A program says what it keeps of a sensor ([`Stream`]): most have a pipeline, and give its sweeps.
+//! [`Streams`] does what is the same for all of them: whose a datagram is, what a sensor that comes
+//! late must know, and how far the time has come.
+
+use std::collections::VecDeque;
+
+use crate::admission::{
+    Admitted, DiscoveredSensors, Refused, Route, Sender, SensorFilter, SensorSet,
+};
+use crate::capture::Placed;
+use sweepd_core::wire::Packet;
+
+/// What a program keeps of a sensor.
+pub trait Stream {
+    /// What comes out of it.
+    type Sweep;
+
+    /// Takes a packet of data or position; `None` is a data packet that is damaged.
+    fn take(&mut self, packet: Option<&Packet<'_>>, placed: &Placed<'_>);
+
+    /// Passes the time to the arrival of a datagram of any sensor; returns whether a sweep was
+    /// closed because this one is silent.
+    fn tick(&mut self, _time: SteadyTime) -> bool {
+        false
+    }
+
+    /// Nothing more comes.
+    fn end(&mut self) {}
+
+    /// The next sweep that is whole.
+    fn next_sweep(&mut self) -> Option<Self::Sweep> {
+        None
+    }
+}
+
+/// The sensors so far, each with its stream.
+pub struct Streams<S: Stream> {
+    /// What is known of the sensors, and what was refused.
+    pub sensors: DiscoveredSensors,
+    /// The streams, by number of the sensor.
+    pub all: Vec<S>,
+    /// Sweeps of sensors that fell silent.
+    silent: VecDeque<S::Sweep>,
+    time: SteadyTime,
+}
+
+impl<S: Stream> Streams<S> {
+    /// No sensors yet. Only those that match one of `filters` are admitted; all, if there are no
+    /// filters.
+    pub fn new(filters: Vec<SensorFilter>) -> Self {
+        Self {
+            sensors: DiscoveredSensors::new(filters),
+            all: Vec::new(),
+            silent: VecDeque::new(),
+            time: SteadyTime::default(),
+        }
+    }
+
+    /// Gives a datagram to the streams of its sensors, and says what it is. `begin` makes the
+    /// stream of a new sensor, of this number. Then fetch all [sweeps](Self::next_sweep).
+    ///
+    /// # Errors
+    /// That of `begin`.
+    pub fn take<'p, E>(
+        &mut self,
+        placed: &Placed<'p>,
+        begin: impl FnOnce(usize, &Sender) -> Result<S, E>,
+    ) -> Result<Admitted<'p>, E> {
+        self.time.pass(placed.datagram.arrival_ns);
+        for stream in &mut self.all {
+            if stream.tick(self.time) {
+                while let Some(sweep) = stream.next_sweep() {
+                    self.silent.push_back(sweep);
+                }
+            }
+        }
+        let admitted = self.sensors.admit_from(&placed.datagram, placed.topic);
+        let number = self.all.len();
+        if let Some(sensor) = self.sensors.senders().get(number) {
+            let mut stream = begin(number, sensor)?;
+            // It may have come before the first data packet.
+            if let Some(position) = self.sensors.position(number) {
+                stream.take(Some(position), placed);
+            }
+            self.all.push(stream);
+        }
+        let (sensors, packet) = match &admitted {
+            Ok((Route::Data(index), packet)) => (SensorSet::from(Some(*index)), Some(packet)),
+            Ok((Route::Position(sensors), packet)) => (*sensors, Some(packet)),
+            Err(Refused { sensor, .. }) => (SensorSet::from(*sensor), None),
+        };
+        for index in sensors {
+            if let Some(stream) = self.all.get_mut(index) {
+                stream.take(packet, placed);
+            }
+        }
+        Ok(admitted)
+    }
+
+    /// Nothing more comes: the last sweeps are closed.
+    pub fn end(&mut self) {
+        self.all.iter_mut().for_each(S::end);
+    }
+
+    /// The next sweep of any sensor that is whole.
+    pub fn next_sweep(&mut self) -> Option<S::Sweep> {
+        let silent = self.silent.pop_front();
+        silent.or_else(|| self.all.iter_mut().find_map(S::next_sweep))
+    }
+}
+
+/// How far the time has come, by times that follow each other. A single late one may be corrupt: of
+/// two neighbours the earlier one counts.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SteadyTime {
+    /// The one that counts.
+    pub now_ns: i64,
+    /// The last one, late or not.
+    pub newest_ns: i64,
+}
+
+impl SteadyTime {
+    /// Takes the next time, and says which one counts.
+    pub fn pass(&mut self, next_ns: i64) -> i64 {
+        self.now_ns = next_ns.min(self.newest_ns);
+        self.newest_ns = next_ns;
+        self.now_ns
+    }
+}
