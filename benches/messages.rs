@@ -15,6 +15,7 @@ use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::flags;
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::{Emitter, EmitterConfig, fixtures};
+use sweepd_lab::testkit::stream::next_sweep;
 
 fn main() {
     divan::main();
@@ -64,8 +65,8 @@ fn sweep(Sensor(model, mode): &Sensor) -> HeapBuffer {
         let Ok(packet) = one.datagram().parse() else {
             continue;
         };
-        pipeline.push(&packet).unwrap();
-        while let Some(buffer) = pipeline.poll(&mut memory) {
+        pipeline.push(&packet);
+        while let Some(buffer) = next_sweep(&mut pipeline, &mut memory) {
             let header = SweepRef::open(buffer.as_ref()).unwrap().header;
             if !header.has(flags::PARTIAL) {
                 return buffer;

@@ -8,6 +8,7 @@
 //! hand (see CONTRIBUTING.md).
 
 use std::path::{Path, PathBuf};
+use sweepd_lab::testkit::stream::next_sweep;
 
 use divan::counter::ItemsCount;
 use divan::{Bencher, black_box};
@@ -133,9 +134,9 @@ fn replay(bencher: Bencher, name: &str) {
         let mut memory = Memory::new(HeapBuffers::default());
         while let Some(datagram) = capture.next_datagram().unwrap() {
             if let Ok((Route::Data(_), packet)) = sensors.admit(&datagram) {
-                pipeline.push(&packet).unwrap();
+                pipeline.push(&packet);
             }
-            while let Some(buffer) = pipeline.poll(&mut memory) {
+            while let Some(buffer) = next_sweep(&mut pipeline, &mut memory) {
                 visit(SweepRef::open(buffer.as_ref()).unwrap().header.returns);
             }
         }

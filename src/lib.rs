@@ -12,7 +12,7 @@
 //!
 //! ```
 //! use sweepd::capture::Capture;
-//! use sweepd::pipeline::{Config, Pipeline};
+//! use sweepd::pipeline::{Config, Event, Pipeline};
 //! use sweepd::buffers::{HeapBuffers, Memory};
 //! use sweepd::sweep::{SweepRef};
 //!
@@ -21,11 +21,17 @@
 //! let mut memory = Memory::new(HeapBuffers::default());
 //! let mut sweeps = 0;
 //! while let Some(datagram) = capture.next_datagram()? {
-//!     pipeline.push(&datagram.parse()?)?;
-//!     while let Some(bytes) = pipeline.poll(&mut memory) {
-//!         let sweep = SweepRef::open(bytes.as_ref())?;
-//!         println!("{} columns, {} segments", sweep.columns.len(), sweep.segments.len());
-//!         sweeps += 1;
+//!     pipeline.push(&datagram.parse()?);
+//!     while let Some(event) = pipeline.poll(&mut memory) {
+//!         match event {
+//!             Event::Sweep(bytes) => {
+//!                 let sweep = SweepRef::open(bytes.as_ref())?;
+//!                 println!("{} columns, {} segments", sweep.columns.len(), sweep.segments.len());
+//!                 sweeps += 1;
+//!             }
+//!             Event::Fault(fault) => return Err(fault.into()),
+//!             Event::Objects(_) | Event::Notice(_) => {}
+//!         }
 //!     }
 //! }
 //! assert!(sweeps >= 5);

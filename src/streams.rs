@@ -21,11 +21,9 @@ pub trait Stream {
     /// Takes a packet of data or position; `None` is a data packet that is damaged.
     fn take(&mut self, packet: Option<&Packet<'_>>, placed: &Placed<'_>);
 
-    /// Passes the time to the arrival of a datagram of any sensor; returns whether a sweep was
-    /// closed because this one is silent.
-    fn tick(&mut self, _time: SteadyTime) -> bool {
-        false
-    }
+    /// All packets so far are taken, and the time has come to the arrival of a datagram of any
+    /// sensor: a sweep may be closed because this one is silent.
+    fn idle(&mut self, _time: SteadyTime) {}
 
     /// Nothing more comes.
     fn end(&mut self) {}
@@ -70,13 +68,7 @@ impl<S: Stream> Streams<S> {
         begin: impl FnOnce(usize, &Sender) -> Result<S, E>,
     ) -> Result<Admitted<'p>, E> {
         self.time.pass(placed.datagram.arrival_ns);
-        for stream in &mut self.all {
-            if stream.tick(self.time) {
-                while let Some(sweep) = stream.next_sweep() {
-                    self.silent.push_back(sweep);
-                }
-            }
-        }
+        self.idle();
         let admitted = self.sensors.admit_from(&placed.datagram, placed.topic);
         let number = self.all.len();
         if let Some(sensor) = self.sensors.senders().get(number) {
@@ -98,6 +90,16 @@ impl<S: Stream> Streams<S> {
             }
         }
         Ok(admitted)
+    }
+
+    /// Nothing comes for a while: the streams may work ahead.
+    pub fn idle(&mut self) {
+        for stream in &mut self.all {
+            stream.idle(self.time);
+            while let Some(sweep) = stream.next_sweep() {
+                self.silent.push_back(sweep);
+            }
+        }
     }
 
     /// Nothing more comes: the last sweeps are closed.

@@ -3,6 +3,7 @@
 
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
+use sweepd_lab::testkit::stream::next_sweep;
 
 use fastrand::Rng;
 use sweepd::admission::{DiscoveredSensors, Route};
@@ -133,9 +134,9 @@ fn captured(path: &Path) -> HeapBuffer {
     let mut whole = 0;
     while let Some(datagram) = capture.next_datagram().unwrap() {
         if let Ok((Route::Data(_), packet)) = sensors.admit(&datagram) {
-            pipeline.push(&packet).unwrap();
+            pipeline.push(&packet);
         }
-        while let Some(buffer) = pipeline.poll(&mut memory) {
+        while let Some(buffer) = next_sweep(&mut pipeline, &mut memory) {
             whole += u32::from(is_whole(&buffer));
             if whole == 2 {
                 return buffer;
@@ -163,8 +164,8 @@ fn simulated(model: Model) -> HeapBuffer {
     let mut pipeline = Pipeline::new("bench", config).unwrap();
     let mut memory = Memory::new(HeapBuffers::default());
     for one in Emitter::new(sensor, &scene) {
-        pipeline.push(&one.datagram().parse().unwrap()).unwrap();
-        while let Some(buffer) = pipeline.poll(&mut memory) {
+        pipeline.push(&one.datagram().parse().unwrap());
+        while let Some(buffer) = next_sweep(&mut pipeline, &mut memory) {
             if is_whole(&buffer) {
                 return buffer;
             }

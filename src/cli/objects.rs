@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::CliError;
 use super::output::rounded;
-use sweepd_core::sweep::objects::{Object, Told, flags, why};
+use sweepd_core::sweep::objects::{NewObjects, Object, flags, why};
 
 /// An object, when it became known.
 #[derive(Debug, Serialize)]
@@ -28,7 +28,7 @@ struct ObjectLine<'a> {
     time_ns: [i64; 2],
 }
 
-/// All objects of a sweep have been told.
+/// All objects of a sweep are known.
 #[derive(Debug, Serialize)]
 struct LastLine<'a> {
     sensor: &'a str,
@@ -54,19 +54,24 @@ impl ObjectLines {
     ///
     /// # Errors
     /// [`CliError::Stdout`].
-    pub fn print(&mut self, sensor: &str, told: &Told<'_>, known_ns: i64) -> Result<(), CliError> {
-        for object in told.objects {
-            self.line(&ObjectLine::new(sensor, told, object, known_ns))?;
+    pub fn print(
+        &mut self,
+        sensor: &str,
+        new: &NewObjects<'_>,
+        known_ns: i64,
+    ) -> Result<(), CliError> {
+        for object in new.objects {
+            self.line(&ObjectLine::new(sensor, new, object, known_ns))?;
         }
-        if told.flags & flags::LAST != 0 {
+        if new.flags & flags::LAST != 0 {
             self.line(&LastLine {
                 sensor,
-                sequence: told.sequence,
+                sequence: new.sequence,
                 known_ns,
                 last: true,
-                partial: told.flags & flags::PARTIAL != 0,
-                no_height: told.flags & flags::NO_HEIGHT != 0,
-                labels: told.labels,
+                partial: new.flags & flags::PARTIAL != 0,
+                no_height: new.flags & flags::NO_HEIGHT != 0,
+                labels: new.labels,
             })?;
         }
         self.0.flush().map_err(CliError::Stdout)
@@ -79,14 +84,14 @@ impl ObjectLines {
 }
 
 impl<'a> ObjectLine<'a> {
-    fn new(sensor: &'a str, told: &Told<'_>, object: &Object, known_ns: i64) -> Self {
+    fn new(sensor: &'a str, new: &NewObjects<'_>, object: &Object, known_ns: i64) -> Self {
         let segment = &object.segment;
         let metres = |lengths: [f32; 3]| lengths.map(|length| rounded(length.into(), 1e4));
         let degrees = |rad: f32| rounded(f64::from(rad).to_degrees(), 1e4);
-        let time_ns = |after_ns: i32| told.time_ns.saturating_add(after_ns.into());
+        let time_ns = |after_ns: i32| new.time_ns.saturating_add(after_ns.into());
         Self {
             sensor,
-            sequence: told.sequence,
+            sequence: new.sequence,
             known_ns,
             object: object.ordinal,
             why: match object.why {

@@ -390,9 +390,7 @@ impl<B: Buffers<Buffer: Outgoing>> PortSensor<B> {
         while let Ok(config) = self.reconfigurations.try_recv() {
             self.sensor.reconfigure(config);
         }
-        self.sensor.tick(self.newest.stamp_of(now), dropped);
-        self.sensor.work_ahead();
-        self.sensor.tell();
+        self.sensor.idle(self.newest.stamp_of(now), dropped);
     }
 }
 

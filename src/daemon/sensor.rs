@@ -12,10 +12,11 @@ use crate::sensor_settings::FieldOfView;
 use sweepd_client::host::{monotonic_ns, realtime_ns};
 use sweepd_core::assemble::clock::vouched_utc_ns;
 use sweepd_core::buffers::{Buffers, Memory};
-use sweepd_core::pipeline::{self, Counts, Fault, Notice, Pipeline};
+use sweepd_core::pipeline::{self, Arrival, Counts, Fault, Notice, Options, Pipeline};
 use sweepd_core::segment::ConfigError;
+use sweepd_core::sensor::unit::Unit;
 use sweepd_core::sweep::layout::{Completion, flags};
-use sweepd_core::sweep::objects::{self, Sending};
+use sweepd_core::sweep::objects::{self, Sending, flags as objects_flags};
 use sweepd_core::sweep::{Header, SweepMut};
 use sweepd_core::wire::nmea::Rmc;
 use sweepd_core::wire::position::Pps;
@@ -63,7 +64,7 @@ pub struct Sensor<B: Buffers> {
     held: Option<(B::Buffer, i64)>,
     objects: Option<Box<dyn ObjectsOutput>>,
     objects_config: ObjectsConfig,
-    is_listened_to: bool,
+    finds_objects: bool,
 }
 
 /// Names of a sensor, and the receivers of its events and counts.
@@ -97,7 +98,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
             counters,
             events,
         } = identity;
-        let pipeline = Pipeline::new(&address, config.clone())?.timed_by(monotonic_ns);
+        let pipeline = pipeline(&address, &config, None)?;
         Ok(Self {
             index,
             name,
@@ -115,7 +116,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
             held: None,
             objects: None,
             objects_config: ObjectsConfig::default(),
-            is_listened_to: false,
+            finds_objects: false,
         })
     }
 
@@ -134,8 +135,8 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     /// Takes a data packet; `dropped` counts the datagrams that the kernel had dropped on the port
     /// so far.
     pub fn data(&mut self, packet: &Packet<'_>, dropped: u64) {
-        self.push(packet);
-        self.send_sweeps(dropped);
+        self.pipeline.push(packet);
+        self.send_events(dropped);
     }
 
     /// Counts a datagram from its address to its data port that is not a packet.
@@ -144,20 +145,16 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     }
 
     /// When the packet is expected that is waited for: the one that completes the open sweep, or
-    /// where somebody listens, one with which objects can be told, so that none waits longer for
-    /// more than is configured.
+    /// where somebody wants its objects, one that completes some of these, so that none waits longer
+    /// for more than is configured.
     pub fn due_ns(&self) -> Option<i64> {
-        let sweep_ns = self.pipeline.due_ns()?;
-        if !self.is_listened_to {
-            return Some(sweep_ns);
-        }
-        let objects_ns = self.pipeline.objects_due_ns(self.objects_config.every_ns);
-        Some(objects_ns.map_or(sweep_ns, |objects_ns| objects_ns.min(sweep_ns)))
+        let objects_every_ns = self.finds_objects.then_some(self.objects_config.every_ns);
+        self.pipeline.next_due_ns(objects_every_ns)
     }
 
     /// Takes a position packet.
     pub fn position(&mut self, packet: &Packet<'_>) {
-        self.push(packet);
+        self.pipeline.push(packet);
         if let Content::Position(position, rmc) = &packet.content {
             let without_pps = self.config.gps_without_pps;
             self.counters
@@ -170,15 +167,20 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
 
     /// Counts position packets that were superseded by a newer one before they were read.
     pub fn pass_over_positions(&mut self, count: u64) {
-        self.pipeline.pass_over_positions(count);
+        self.pipeline.push(Arrival::OldPositions(count));
     }
 
-    /// Gives the time between batches by the clock that stamps its packets, if there were any: it
-    /// may end a stalled sweep, or detect the sensor again.
-    pub fn tick(&mut self, now_ns: Option<i64>, dropped: u64) {
-        if now_ns.is_some_and(|now_ns| self.pipeline.tick(now_ns)) {
-            self.send_sweeps(dropped);
+    /// What is done after a batch: segments what is there of the open sweep, and ends one that has
+    /// stalled by the clock that stamps its packets, if there were any; updates the counters,
+    /// publishes a held sweep, and may detect the sensor again.
+    pub fn idle(&mut self, now_ns: Option<i64>, dropped: u64) {
+        if !self.finds_objects && self.has_listeners() {
+            self.finds_objects = true;
+            let max_width_rad = self.objects_config.max_width_rad;
+            self.pipeline.find_objects(Some(max_width_rad));
         }
+        self.pipeline.idle(now_ns);
+        self.send_events(dropped);
         if self
             .second_look_ns
             .is_some_and(|at_ns| monotonic_ns() >= at_ns)
@@ -186,17 +188,8 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
             // It was valid before.
             let _ = self.begin_anew(self.config.clone());
         }
-    }
-
-    /// Segments columns before the sweep is complete, after a batch.
-    pub fn work_ahead(&mut self) {
-        if !self.is_listened_to && self.has_listeners() {
-            self.is_listened_to = true;
-            self.pipeline
-                .listen(Some(self.objects_config.max_width_rad));
-        }
-        self.pipeline.segment_early(&mut self.memory);
-        self.send_objects();
+        self.publish_held();
+        self.count_packets();
     }
 
     fn has_listeners(&self) -> bool {
@@ -205,35 +198,13 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
             .is_some_and(|output| output.has_listeners())
     }
 
-    /// Sends the objects that became known.
-    fn send_objects(&mut self) {
-        let Some(output) = &mut self.objects else {
-            return;
-        };
-        if let Some(told) = self.pipeline.told() {
-            let mount = &self.config.segment.mount;
-            let sending = Sending {
-                name: &self.name,
-                run_ns: self.run_ns,
-                sent_ns: realtime_ns(),
-                sent_monotonic_ns: monotonic_ns(),
-                position_m: self.config.position_m,
-                angles_rad: [self.config.yaw_rad, mount.pitch_rad, mount.roll_rad],
-            };
-            objects::write(&told, &sending, |message| output.send(message));
-        }
-    }
-
-    /// Updates the counters after a batch, and publishes a held sweep.
-    pub fn tell(&mut self) {
-        self.publish_held();
+    /// Updates what is counted of packets, and what the sensor says of itself.
+    fn count_packets(&self) {
+        let status = self.pipeline.status();
         let mut counts = self.counted;
-        counts += self.pipeline.counts();
+        counts += status.counts;
         self.counters.set(&counts);
-        for notice in self.pipeline.take_notices() {
-            self.report(Event::Notice(notice));
-        }
-        if let Some(unit) = self.pipeline.unit() {
+        if let Some(unit) = status.unit {
             unit.temperature_c()
                 .into_iter()
                 .for_each(|celsius| self.counters.set_temperature_c(celsius.into()));
@@ -250,35 +221,41 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     }
 
     fn begin_anew(&mut self, config: pipeline::Config) -> Result<(), ConfigError> {
-        let fresh = Pipeline::new(&self.address, config.clone())?.timed_by(monotonic_ns);
+        let fresh = pipeline(&self.address, &config, self.pipeline.known_unit())?;
         let before = std::mem::replace(&mut self.pipeline, fresh);
-        self.counted += before.counts();
+        self.counted += before.status().counts;
         // They are counted anew.
         self.counters.set_dark_beams(iter::empty());
-        self.pipeline.expect_unit(before.into_unit());
         self.config = config;
-        self.is_listened_to = false;
+        self.finds_objects = false;
         self.run_ns = realtime_ns();
         self.second_look_ns = None;
         Ok(())
     }
 
-    fn push(&mut self, packet: &Packet<'_>) {
-        if let Err(fault) = self.pipeline.push(packet) {
-            self.second_look_ns = Some(monotonic_ns() + SECOND_LOOK_NS);
-            self.report(Event::Fault(fault));
-        }
-    }
-
-    fn send_sweeps(&mut self, dropped: u64) {
-        while let Some(sweep) = self.pipeline.poll(&mut self.memory) {
-            self.send(sweep, dropped);
-            self.send_objects();
-            // Not within a sweep: a consumer that comes back during it would get the same objects
-            // again.
-            if self.is_listened_to && !self.has_listeners() {
-                self.is_listened_to = false;
-                self.pipeline.listen(None);
+    /// Sends what became known.
+    fn send_events(&mut self, dropped: u64) {
+        while let Some(event) = self.pipeline.poll(&mut self.memory) {
+            match event {
+                pipeline::Event::Sweep(sweep) => self.send(sweep, dropped),
+                pipeline::Event::Objects(objects) => {
+                    let is_last = objects.flags & objects_flags::LAST != 0;
+                    if let Some(output) = &mut self.objects {
+                        let sending = sending(&self.name, self.run_ns, &self.config);
+                        objects::write(&objects, &sending, |message| output.send(message));
+                    }
+                    // Not within a sweep: a consumer that comes back during it would get the same
+                    // objects again.
+                    if is_last && !self.has_listeners() {
+                        self.finds_objects = false;
+                        self.pipeline.find_objects(None);
+                    }
+                }
+                pipeline::Event::Notice(notice) => self.report(Event::Notice(notice)),
+                pipeline::Event::Fault(fault) => {
+                    self.second_look_ns = Some(monotonic_ns() + SECOND_LOOK_NS);
+                    self.report(Event::Fault(fault));
+                }
             }
         }
     }
@@ -303,7 +280,8 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         });
         self.dropped_before = dropped;
         self.count(header);
-        self.counters.set_dark_beams(self.pipeline.dark_beams());
+        self.counters
+            .set_dark_beams(self.pipeline.status().dark_beams.iter());
         self.publish_held();
         self.publish(sweep, completed_monotonic_ns);
     }
@@ -342,7 +320,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
             .steady_sweeps
             .add((!is_partial && !header.has(flags::RATE_UNSTABLE | flags::STOPPED)).into());
         counters.set_sensor(header);
-        let limits_deg = self.pipeline.field_of_view_deg();
+        let limits_deg = self.pipeline.status().field_of_view_deg;
         if let Some(fov) = FieldOfView::measured(header.flags, limits_deg) {
             counters.set_fov(fov);
         }
@@ -373,6 +351,33 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     fn report(&self, event: Event) {
         // The receiver is gone once the daemon ends.
         let _ = self.events.send((self.index, event));
+    }
+}
+
+/// A pipeline that times its stages, for the HDL-64E of which this is known.
+fn pipeline(
+    address: &str,
+    config: &pipeline::Config,
+    unit: Option<Unit>,
+) -> Result<Pipeline, ConfigError> {
+    let options = Options {
+        clock: monotonic_ns,
+        unit,
+        ..Options::default()
+    };
+    Pipeline::with_options(address, config.clone(), options)
+}
+
+/// A message of objects that is sent now.
+fn sending<'a>(name: &'a str, run_ns: i64, config: &pipeline::Config) -> Sending<'a> {
+    let mount = &config.segment.mount;
+    Sending {
+        name,
+        run_ns,
+        sent_ns: realtime_ns(),
+        sent_monotonic_ns: monotonic_ns(),
+        position_m: config.position_m,
+        angles_rad: [config.yaw_rad, mount.pitch_rad, mount.roll_rad],
     }
 }
 

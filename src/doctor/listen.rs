@@ -11,7 +11,7 @@ use crate::cure::{Dialect, explain};
 use crate::sensor_settings::FieldOfView;
 use crate::streams::{Stream, Streams};
 use sweepd_core::buffers::{HeapBuffers, Memory};
-use sweepd_core::pipeline::{Config, Notice, Pipeline};
+use sweepd_core::pipeline::{Config, Event, Notice, Pipeline};
 use sweepd_core::segment::ConfigError;
 use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::{TimeSource, flags};
@@ -201,19 +201,22 @@ impl DecodedSensor {
     }
 
     fn push(&mut self, packet: &Packet<'_>) {
-        if let Err(fault) = self.pipeline.push(packet) {
-            self.observed.fault = Some(explain(&fault, Dialect::Configuration));
-        }
-        while let Some(bytes) = self.pipeline.poll(&mut self.memory) {
-            if let Ok(sweep) = SweepRef::open(bytes.as_ref()) {
-                self.observe(&sweep);
-            }
-        }
-        for notice in self.pipeline.take_notices() {
-            match notice {
-                Notice::AwaitsCalibration => self.observed.awaits_calibration = true,
-                Notice::Calibrated { .. } => self.observed.awaits_calibration = false,
-                _ => {}
+        self.pipeline.push(packet);
+        while let Some(event) = self.pipeline.poll(&mut self.memory) {
+            match event {
+                Event::Sweep(bytes) => {
+                    if let Ok(sweep) = SweepRef::open(bytes.as_ref()) {
+                        self.observe(&sweep);
+                    }
+                }
+                Event::Fault(fault) => {
+                    self.observed.fault = Some(explain(&fault, Dialect::Configuration));
+                }
+                Event::Notice(Notice::AwaitsCalibration) => self.observed.awaits_calibration = true,
+                Event::Notice(Notice::Calibrated { .. }) => {
+                    self.observed.awaits_calibration = false;
+                }
+                Event::Notice(_) | Event::Objects(_) => {}
             }
         }
     }
@@ -235,15 +238,16 @@ impl DecodedSensor {
             let (least, most) = observed.rpm.unwrap_or((header.rpm, header.rpm));
             observed.rpm = Some((least.min(header.rpm), most.max(header.rpm)));
             observed.whole_sweeps += 1;
-            let limits_deg = self.pipeline.field_of_view_deg();
+            let limits_deg = self.pipeline.status().field_of_view_deg;
             observed.fov = FieldOfView::measured(header.flags, limits_deg).or(observed.fov);
         }
     }
 
     fn finish(mut self) -> ObservedSensor {
-        self.observed.counts = self.pipeline.counts();
-        self.observed.dark_beams = self.pipeline.dark_beams().collect();
-        if let Some(detection) = self.pipeline.detection() {
+        let status = self.pipeline.status();
+        self.observed.counts = status.counts;
+        self.observed.dark_beams = status.dark_beams.iter().collect();
+        if let Some(detection) = status.detection {
             self.observed.model = Some(detection.model);
             self.observed
                 .return_mode

@@ -8,6 +8,7 @@ mod common;
 mod counting;
 
 use sweepd_lab::testkit::stream;
+use sweepd_lab::testkit::stream::next_sweep;
 
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -37,17 +38,14 @@ fn per_sweep(config: Config, datagrams: &[(Vec<u8>, i64)]) -> Vec<u64> {
     let mut counts = Vec::with_capacity(100);
     let mut before = ALLOCATIONS.load(Ordering::Relaxed);
     for (payload, arrival_ns) in datagrams {
-        pipeline
-            .push(&stream::datagram(payload, *arrival_ns).parse().unwrap())
-            .unwrap();
-        pipeline.tick(*arrival_ns);
-        while let Some(sweep) = pipeline.poll(&mut memory) {
+        pipeline.push(&stream::datagram(payload, *arrival_ns).parse().unwrap());
+        pipeline.idle(Some(*arrival_ns));
+        while let Some(sweep) = next_sweep(&mut pipeline, &mut memory) {
             drop(sweep);
             let now = ALLOCATIONS.load(Ordering::Relaxed);
             counts.push(now - before);
             before = now;
         }
-        pipeline.segment_early(&mut memory);
     }
     counts
 }

@@ -6,6 +6,7 @@ use sweepd::capture::Capture;
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sweep::layout::flags;
 use sweepd::sweep::{Header, SweepRef};
+use sweepd_lab::testkit::stream::next_sweep;
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::common::same::same;
@@ -109,9 +110,9 @@ fn raw_has_every_sweep_in_its_bytes() {
     let mut rest: &[u8] = &aligned.as_ref()[..files[0].len()];
     while let Some(datagram) = datagrams.next_datagram().unwrap() {
         if let Ok((_, packet)) = sensors.admit(&datagram) {
-            pipeline.push(&packet).unwrap();
+            pipeline.push(&packet);
         }
-        while let Some(sweep) = pipeline.poll(&mut memory) {
+        while let Some(sweep) = next_sweep(&mut pipeline, &mut memory) {
             let made = SweepRef::open(sweep.as_ref()).unwrap();
             if made.header.has(flags::PARTIAL) {
                 continue;

@@ -3,6 +3,7 @@
 use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::wire::Datagram;
+use sweepd_lab::testkit::stream::next_sweep;
 
 /// Of each sweep: by how much the packet that completed it came after it was expected, as was said
 /// after each packet before, nanoseconds.
@@ -12,19 +13,17 @@ pub fn late_ns(config: Config, packets: impl IntoIterator<Item = (Vec<u8>, i64)>
     let (mut said_ns, mut late_ns) = (Vec::new(), Vec::new());
     for (payload, arrival_ns) in packets {
         let source = ([192, 168, 1, 201], 2368).into();
-        pipeline
-            .push(
-                &Datagram {
-                    arrival_ns,
-                    source,
-                    destination_port: 2368,
-                    payload: &payload,
-                }
-                .parse()
-                .unwrap(),
-            )
-            .unwrap();
-        if std::iter::from_fn(|| pipeline.poll(&mut memory)).count() > 0 {
+        pipeline.push(
+            &Datagram {
+                arrival_ns,
+                source,
+                destination_port: 2368,
+                payload: &payload,
+            }
+            .parse()
+            .unwrap(),
+        );
+        if std::iter::from_fn(|| next_sweep(&mut pipeline, &mut memory)).count() > 0 {
             late_ns.push(
                 said_ns
                     .drain(..)
@@ -32,7 +31,7 @@ pub fn late_ns(config: Config, packets: impl IntoIterator<Item = (Vec<u8>, i64)>
                     .collect(),
             );
         }
-        said_ns.extend(pipeline.due_ns());
+        said_ns.extend(pipeline.next_due_ns(None));
     }
     late_ns
 }

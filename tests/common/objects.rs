@@ -2,10 +2,11 @@
 
 use std::cmp::Reverse;
 
-use sweepd::pipeline::Pipeline;
+use sweepd::buffers::{HeapBuffer, HeapBuffers, Memory};
+use sweepd::pipeline::{Event, Fault, Pipeline};
 use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::flags;
-use sweepd::sweep::objects::{self, Object, why};
+use sweepd::sweep::objects::{self, NewObjects, Object, why};
 
 /// How much of what was told was what.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -36,6 +37,8 @@ impl std::ops::AddAssign for Tally {
 #[derive(Default)]
 pub struct Listener {
     told: Vec<Object>,
+    /// A sweep whose last objects come next.
+    complete: Option<HeapBuffer>,
     pub tally: Tally,
     /// Sweeps of which something was told.
     pub sweeps: usize,
@@ -51,19 +54,41 @@ impl Listener {
         }
     }
 
-    /// After the open sweep was segmented early.
-    pub fn early(&mut self, pipeline: &mut Pipeline) {
-        if let Some(told) = pipeline.told() {
-            assert_eq!(told.flags, 0, "{}", self.what);
-            assert_eq!(told.first_ordinal, self.told.len(), "{}", self.what);
-            self.told.extend_from_slice(told.objects);
+    /// Polls until a sweep is complete, and its last objects have come, or until a fault; `None` when
+    /// there is no more.
+    pub fn poll(
+        &mut self,
+        pipeline: &mut Pipeline,
+        memory: &mut Memory<HeapBuffers>,
+    ) -> Option<Result<HeapBuffer, Fault>> {
+        loop {
+            let reordered = pipeline.status().counts.reordered;
+            let event = pipeline.poll(memory);
+            if let Some(buffer) = self.complete.take() {
+                let Some(Event::Objects(told)) = event else {
+                    panic!("{}: the last message comes behind its sweep", self.what);
+                };
+                self.with_sweep(&told, reordered, &SweepRef::open(buffer.as_ref()).unwrap());
+                return Some(Ok(buffer));
+            }
+            match event? {
+                Event::Sweep(buffer) => self.complete = Some(buffer),
+                Event::Objects(told) => self.early(&told),
+                Event::Fault(fault) => return Some(Err(fault)),
+                Event::Notice(_) => {}
+            }
         }
     }
 
+    /// After the open sweep was segmented early.
+    fn early(&mut self, told: &NewObjects<'_>) {
+        assert_eq!(told.flags, 0, "{}", self.what);
+        assert_eq!(told.first_ordinal, self.told.len(), "{}", self.what);
+        self.told.extend_from_slice(told.objects);
+    }
+
     /// With a sweep: all of it has been told, and nothing of another one.
-    pub fn with_sweep(&mut self, pipeline: &mut Pipeline, sweep: &SweepRef<'_>) {
-        let reordered = pipeline.counts().reordered;
-        let told = pipeline.told().expect("the last message");
+    fn with_sweep(&mut self, told: &NewObjects<'_>, reordered: u64, sweep: &SweepRef<'_>) {
         assert_eq!(told.sequence, sweep.header.sequence, "{}", self.what);
         assert_eq!(told.time_ns, sweep.header.time_ns, "{}", self.what);
         assert_eq!(told.first_ordinal, self.told.len(), "{}", self.what);
@@ -81,7 +106,6 @@ impl Listener {
             assert!(self.told.is_empty(), "{}: without a height", self.what);
         }
         self.told.clear();
-        assert!(pipeline.told().is_none(), "{}: once", self.what);
     }
 }
 

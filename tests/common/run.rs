@@ -7,10 +7,11 @@ use sweepd::admission::{DiscoveredSensors, Refused};
 use sweepd::buffers::HeapBuffer;
 use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::capture::Capture;
-use sweepd::pipeline::{Config, Counts, Fault, Notice, Pipeline};
+use sweepd::pipeline::{Config, Counts, Event, Fault, Notice, Options, Pipeline};
 use sweepd::segment::objects::MAX_WIDTH_RAD;
 use sweepd::sensor::detect::Detection;
 use sweepd::sensor::model::Spec;
+use sweepd::sensor::unit::Unit;
 use sweepd::sweep::{Return, SweepRef};
 use sweepd::wire::Datagram;
 use sweepd::wire::data::{RECORDS, ReturnMode};
@@ -58,15 +59,25 @@ pub struct Runner {
     pipeline: Pipeline,
     memory: Memory<HeapBuffers>,
     pub sweeps: Vec<HeapBuffer>,
+    notices: Vec<Notice>,
     listener: Option<Listener>,
 }
 
 impl Runner {
     pub fn new(config: Config) -> Self {
+        Self::with_unit(config, None)
+    }
+
+    fn with_unit(config: Config, unit: Option<Unit>) -> Self {
+        let options = Options {
+            unit,
+            ..Options::default()
+        };
         Self {
-            pipeline: Pipeline::new("test", config).unwrap(),
+            pipeline: Pipeline::with_options("test", config, options).unwrap(),
             memory: Memory::default(),
             sweeps: Vec::new(),
+            notices: Vec::new(),
             listener: None,
         }
     }
@@ -74,29 +85,32 @@ impl Runner {
     /// The same with a listener, which sees that objects are those of the sweeps.
     pub fn with_listener(config: Config) -> Self {
         let mut runner = Self::new(config);
-        runner.pipeline.listen(Some(MAX_WIDTH_RAD));
+        runner.pipeline.find_objects(Some(MAX_WIDTH_RAD));
         runner.listener = Some(Listener::new("a runner"));
         runner
     }
 
     pub fn push(&mut self, datagram: &Datagram<'_>) -> Result<(), Fault> {
-        let result = push(&mut self.pipeline, datagram);
-        self.take_sweeps();
-        self.pipeline.segment_early(&mut self.memory);
-        if let Some(listener) = &mut self.listener {
-            listener.early(&mut self.pipeline);
-        }
-        result
+        push(&mut self.pipeline, datagram);
+        self.pipeline.idle(None);
+        self.take_events()
     }
 
-    fn take_sweeps(&mut self) {
-        while let Some(buffer) = self.pipeline.poll(&mut self.memory) {
-            if let Some(listener) = &mut self.listener {
-                let sweep = SweepRef::open(buffer.as_ref()).unwrap();
-                listener.with_sweep(&mut self.pipeline, &sweep);
+    fn take_events(&mut self) -> Result<(), Fault> {
+        if let Some(listener) = &mut self.listener {
+            while let Some(polled) = listener.poll(&mut self.pipeline, &mut self.memory) {
+                self.sweeps.push(polled?);
             }
-            self.sweeps.push(buffer);
         }
+        while let Some(event) = self.pipeline.poll(&mut self.memory) {
+            match event {
+                Event::Sweep(buffer) => self.sweeps.push(buffer),
+                Event::Notice(notice) => self.notices.push(notice),
+                Event::Fault(fault) => return Err(fault),
+                Event::Objects(_) => panic!("objects, though nobody asked for them"),
+            }
+        }
+        Ok(())
     }
 
     /// How much was told to the listener.
@@ -106,9 +120,8 @@ impl Runner {
     }
 
     pub fn end(&mut self) -> Result<(), Fault> {
-        let result = self.pipeline.end();
-        self.take_sweeps();
-        result
+        self.pipeline.end();
+        self.take_events()
     }
 
     /// Pushes a whole capture; stops at a fault.
@@ -127,22 +140,20 @@ impl Runner {
     /// Goes on with another configuration, as at a reload: what the sensor has said of itself stays
     /// known.
     pub fn reloaded(self, config: Config) -> Self {
-        let mut next = Self::new(config);
-        next.pipeline.expect_unit(self.pipeline.into_unit());
-        next
+        Self::with_unit(config, self.pipeline.known_unit())
     }
 
     /// What happened since this was asked last.
     pub fn notices(&mut self) -> Vec<Notice> {
-        self.pipeline.take_notices()
+        std::mem::take(&mut self.notices)
     }
 
     pub fn finish(self) -> Run {
-        let (counts, detection) = (self.pipeline.counts(), self.pipeline.detection().unwrap());
+        let status = self.pipeline.status();
         Run {
+            counts: status.counts,
+            detection: status.detection.unwrap(),
             sweeps: self.sweeps,
-            counts,
-            detection,
         }
     }
 }

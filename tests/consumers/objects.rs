@@ -7,7 +7,7 @@ use std::time::{Duration, SystemTime};
 use serde_json::{Value, json};
 use sweepd::buffers::{Buffers, HeapBuffers, Memory};
 use sweepd::client::{Client, ClientError, Next, ObjectsRef};
-use sweepd::pipeline::{Config, Pipeline};
+use sweepd::pipeline::{Config, Event, Pipeline};
 use sweepd::publish::{Loans, Preamble, ServiceSettings, Topic};
 use sweepd::segment::objects::MAX_WIDTH_RAD;
 use sweepd::sensor::Model;
@@ -39,16 +39,16 @@ pub fn messages() -> Vec<Vec<u64>> {
     let scene = fixtures::scene();
     let sensor = EmitterConfig::new(Model::Vlp16, ReturnMode::Strongest).turns(3.0);
     let mut pipeline = Pipeline::new("192.168.1.201:2368", Config::default()).unwrap();
-    pipeline.listen(Some(MAX_WIDTH_RAD));
+    pipeline.find_objects(Some(MAX_WIDTH_RAD));
     let mut memory = Memory::new(HeapBuffers::default());
     let mut messages = Vec::new();
     for sent in Emitter::new(sensor, &scene).untold() {
-        pipeline.push(&sent.datagram().parse().unwrap()).unwrap();
-        if pipeline.poll(&mut memory).is_none() {
-            pipeline.segment_early(&mut memory);
-        }
-        if let Some(told) = pipeline.told() {
-            objects::write(&told, &sending, |message| messages.push(aligned(message)));
+        pipeline.push(&sent.datagram().parse().unwrap());
+        pipeline.idle(None);
+        while let Some(event) = pipeline.poll(&mut memory) {
+            if let Event::Objects(found) = event {
+                objects::write(&found, &sending, |message| messages.push(aligned(message)));
+            }
         }
     }
     messages
@@ -250,7 +250,7 @@ pub fn honest() -> Vec<u64> {
         (object.segment.min_m, object.segment.max_m) = ([-0.5, at_m, -1.0], [0.5, at_m + 0.5, 0.0]);
         object
     };
-    let told = objects::Told {
+    let told = objects::NewObjects {
         sequence: 7,
         time_ns: now_ns,
         time_source: TimeSource::Host as u32,

@@ -10,6 +10,7 @@ use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::flags;
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::unit::unit;
+use sweepd_lab::testkit::stream::next_sweep;
 
 use super::of_project;
 use super::stream::{Spin, config, datagram};
@@ -69,13 +70,11 @@ fn play_spin<B: Buffers>(spin: &Spin, config: Config, buffers: B, mut done: impl
     let mut pipeline = Pipeline::new("192.168.1.201:2368", config).unwrap();
     let mut memory = Memory::new(buffers);
     for one in spin.packets(0.25) {
-        pipeline
-            .push(&datagram(one.packet.emit(), one.arrival_ns).parse().unwrap())
-            .unwrap();
-        std::iter::from_fn(|| pipeline.poll(&mut memory)).for_each(&mut done);
+        pipeline.push(&datagram(one.packet.emit(), one.arrival_ns).parse().unwrap());
+        std::iter::from_fn(|| next_sweep(&mut pipeline, &mut memory)).for_each(&mut done);
     }
-    pipeline.end().unwrap();
-    std::iter::from_fn(|| pipeline.poll(&mut memory)).for_each(&mut done);
+    pipeline.end();
+    std::iter::from_fn(|| next_sweep(&mut pipeline, &mut memory)).for_each(&mut done);
 }
 
 fn play_capture<B: Buffers>(file: &str, buffers: B, mut done: impl FnMut(B::Buffer)) {
@@ -85,12 +84,12 @@ fn play_capture<B: Buffers>(file: &str, buffers: B, mut done: impl FnMut(B::Buff
     let mut sensors = DiscoveredSensors::new(Vec::new());
     while let Some(datagram) = capture.next_datagram().unwrap() {
         if let Ok((_, packet)) = sensors.admit(&datagram) {
-            pipeline.push(&packet).unwrap();
+            pipeline.push(&packet);
         }
-        std::iter::from_fn(|| pipeline.poll(&mut memory)).for_each(&mut done);
+        std::iter::from_fn(|| next_sweep(&mut pipeline, &mut memory)).for_each(&mut done);
     }
-    pipeline.end().unwrap();
-    std::iter::from_fn(|| pipeline.poll(&mut memory)).for_each(&mut done);
+    pipeline.end();
+    std::iter::from_fn(|| next_sweep(&mut pipeline, &mut memory)).for_each(&mut done);
 }
 
 /// The tests that use these sweeps would be worth little if they had nothing of what they are to be

@@ -3,6 +3,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use sweepd_lab::testkit::stream::next_sweep;
 
 use sweepd::buffers::HeapBuffer;
 use sweepd::buffers::{HeapBuffers, Memory};
@@ -62,9 +63,11 @@ fn sweeps(model: Model) -> (Vec<HeapBuffer>, i64) {
     let mut sweeps = Vec::new();
     for sent in Emitter::new(emitter.turns(4.2), &scene) {
         if let Ok(packet) = sent.datagram().parse() {
-            pipeline.push(&packet).unwrap();
+            pipeline.push(&packet);
         }
-        sweeps.extend(std::iter::from_fn(|| pipeline.poll(&mut memory)));
+        sweeps.extend(std::iter::from_fn(|| {
+            next_sweep(&mut pipeline, &mut memory)
+        }));
     }
     assert!(sweeps.len() > 2);
     (sweeps, start_ns)

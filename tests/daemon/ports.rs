@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant, SystemTime};
 use sweepd::admission::Refusal;
+use sweepd_lab::testkit::stream::next_sweep;
 
 use sweepd::buffers::HeapBuffer;
 use sweepd::buffers::{HeapBuffers, Memory};
@@ -83,8 +84,10 @@ fn replayed(sent: &[Sent]) -> Vec<HeapBuffer> {
             destination_port: 2368,
             payload: &sent.payload,
         };
-        pipeline.push(&datagram.parse().unwrap()).unwrap();
-        sweeps.extend(std::iter::from_fn(|| pipeline.poll(&mut memory)));
+        pipeline.push(&datagram.parse().unwrap());
+        sweeps.extend(std::iter::from_fn(|| {
+            next_sweep(&mut pipeline, &mut memory)
+        }));
     }
     sweeps
 }

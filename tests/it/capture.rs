@@ -101,12 +101,12 @@ fn highest_share(path: &Path) -> f64 {
             passed = before + since;
             let arrival_ns = first_ns + passed.as_nanos() as i64;
             // What is of no model that can be decoded is told, and by another state.
-            let _ = pipeline.push(&Packet {
+            pipeline.push(&Packet {
                 arrival_ns,
                 ..packet
             });
             while pipeline.poll(&mut memory).is_some() {}
-            counters.set(&pipeline.counts());
+            counters.set(&pipeline.status().counts);
             assert_eq!(
                 losses.observe(passed, counters.tally()),
                 None,

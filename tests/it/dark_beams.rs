@@ -10,7 +10,7 @@ use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::flags;
 use sweepd::wire::data::{DataPacket, ReturnMode};
 use sweepd_lab::simulate::{Emitter, EmitterConfig, SimulatedDatagram, fixtures};
-use sweepd_lab::testkit::stream::{self, Sent, Spin};
+use sweepd_lab::testkit::stream::{self, Sent, Spin, next_sweep};
 
 use crate::common::data_dir;
 use crate::common::raw;
@@ -102,16 +102,16 @@ fn run(model: Model, sent: &[Sent]) -> (u32, Vec<DarkBeam>) {
     let mut turns = 0;
     for one in sent {
         let bytes = one.packet.emit();
-        stream::push(&mut pipeline, &stream::datagram(bytes, one.arrival_ns)).unwrap();
-        while let Some(bytes) = pipeline.poll(&mut memory) {
+        stream::push(&mut pipeline, &stream::datagram(bytes, one.arrival_ns));
+        while let Some(bytes) = next_sweep(&mut pipeline, &mut memory) {
             let sweep = SweepRef::open(bytes.as_ref()).unwrap();
             turns += u32::from(!sweep.header.has(flags::PARTIAL));
             naive.look(&sweep);
-            let found: Vec<DarkBeam> = pipeline.dark_beams().collect();
+            let found: Vec<DarkBeam> = pipeline.status().dark_beams.iter().collect();
             assert_eq!(found, naive.dark(), "{model}, {turns} turns");
         }
     }
-    (turns, pipeline.dark_beams().collect())
+    (turns, pipeline.status().dark_beams.iter().collect())
 }
 
 #[test]
@@ -203,10 +203,10 @@ fn a_masked_row_is_not_dark() {
     let mut turns = 0;
     for one in &Spin::new(Model::Vlp16, ReturnMode::Strongest, 600.0).packets(0.5) {
         let bytes = one.packet.emit();
-        stream::push(&mut pipeline, &stream::datagram(bytes, one.arrival_ns)).unwrap();
-        while pipeline.poll(&mut memory).is_some() {
+        stream::push(&mut pipeline, &stream::datagram(bytes, one.arrival_ns));
+        while next_sweep(&mut pipeline, &mut memory).is_some() {
             turns += 1;
-            assert_eq!(pipeline.dark_beams().next(), None);
+            assert_eq!(pipeline.status().dark_beams.iter().next(), None);
         }
     }
     assert!(turns > 3, "{turns}");
@@ -229,10 +229,10 @@ fn counts_begin_anew_with_another_sensor() {
     sent.extend(later);
     for one in &sent {
         let bytes = one.packet.emit();
-        stream::push(&mut pipeline, &stream::datagram(bytes, one.arrival_ns)).unwrap();
-        while pipeline.poll(&mut memory).is_some() {}
-        let model = pipeline.detection().map(|detection| detection.model);
-        for beam in pipeline.dark_beams() {
+        stream::push(&mut pipeline, &stream::datagram(bytes, one.arrival_ns));
+        while next_sweep(&mut pipeline, &mut memory).is_some() {}
+        let model = pipeline.status().detection.map(|detection| detection.model);
+        for beam in pipeline.status().dark_beams.iter() {
             assert!(beam.turns <= 15, "{beam:?}");
             seen.insert((model.map(|model| model.to_string()), beam.channel));
         }

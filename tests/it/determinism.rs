@@ -4,11 +4,12 @@
 //! speed: `tests/live/equal.rs`.
 
 use std::sync::LazyLock;
+use sweepd_lab::testkit::stream::next_sweep;
 
 use crate::common::same::same;
 use sweepd::assemble::lanes::levels;
 use sweepd::buffers::{HeapBuffers, Memory};
-use sweepd::pipeline::{Config, Pipeline, TimedSegmenter};
+use sweepd::pipeline::{Config, Options, Pipeline, TimedSegmenter};
 use sweepd::segment::Segmenter;
 use sweepd::sensor::Model::{Hdl32e, Hdl64eS2, Hdl64eS3, Vlp16, Vlp32c, Vls128};
 use sweepd::sweep::layout::flags::HEIGHT_ESTIMATED;
@@ -100,7 +101,7 @@ static STREAMS: LazyLock<Vec<Stream>> = LazyLock::new(|| {
 
 /// Takes what is complete.
 fn take(pipeline: &mut Pipeline, memory: &mut Memory<HeapBuffers>, sweeps: &mut Vec<Vec<u8>>) {
-    while let Some(sweep) = pipeline.poll(memory) {
+    while let Some(sweep) = next_sweep(pipeline, memory) {
         sweeps.push(same(&SweepRef::open(sweep.as_ref()).unwrap()));
     }
 }
@@ -120,11 +121,11 @@ impl Stream {
         let mut memory = Memory::new(HeapBuffers::default());
         let mut sweeps = Vec::new();
         for one in sent {
-            pipeline.push(&one.datagram().parse().unwrap()).unwrap();
+            pipeline.push(&one.datagram().parse().unwrap());
             take(&mut pipeline, &mut memory, &mut sweeps);
             between(&mut pipeline, &mut memory, one.arrival_ns);
         }
-        pipeline.end().unwrap();
+        pipeline.end();
         take(&mut pipeline, &mut memory, &mut sweeps);
         sweeps
     }
@@ -159,14 +160,14 @@ fn the_streams_show_what_they_are_for() {
         let mut memory = Memory::new(HeapBuffers::default());
         let (mut segments, mut estimated) = (0, false);
         for one in sent {
-            pipeline.push(&one.datagram().parse().unwrap()).unwrap();
-            while let Some(sweep) = pipeline.poll(&mut memory) {
+            pipeline.push(&one.datagram().parse().unwrap());
+            while let Some(sweep) = next_sweep(&mut pipeline, &mut memory) {
                 let sweep = SweepRef::open(sweep.as_ref()).unwrap();
                 segments += sweep.segments.len();
                 estimated |= sweep.header.has(HEIGHT_ESTIMATED) && sweep.header.sequence > 1;
             }
         }
-        let counts = pipeline.counts();
+        let counts = pipeline.status().counts;
         assert!(
             counts.lost > 3 && counts.duplicates > 1 && counts.reordered > 5,
             "{name}: {counts:?}"
@@ -180,7 +181,11 @@ fn on_every_level_of_instructions() {
     for stream in &*STREAMS {
         for level in levels() {
             let (name, config) = (&stream.name, stream.config.clone());
-            let pipeline = Pipeline::with_level(name, config, level).unwrap();
+            let options = Options {
+                level,
+                ..Options::default()
+            };
+            let pipeline = Pipeline::with_options(name, config, options).unwrap();
             stream.compare(
                 &format!("{level:?}"),
                 &stream.run(pipeline, &stream.sent, |_, _, _| {}),
@@ -193,15 +198,24 @@ fn on_every_level_of_instructions() {
 #[test]
 fn labelled_side_by_side() {
     for stream in &*STREAMS {
-        let mut pipeline = stream.pipeline();
+        let options = Options {
+            labels_elsewhere: true,
+            ..Options::default()
+        };
+        let (name, config) = (&stream.name, stream.config.clone());
+        let mut pipeline = Pipeline::with_options(name, config, options).unwrap();
         let mut memory = Memory::new(HeapBuffers::default());
         let mut decoded = Vec::new();
         for one in &stream.sent {
-            pipeline.push(&one.datagram().parse().unwrap()).unwrap();
-            decoded.extend(std::iter::from_fn(|| pipeline.poll_unlabelled(&mut memory)));
+            pipeline.push(&one.datagram().parse().unwrap());
+            decoded.extend(std::iter::from_fn(|| {
+                next_sweep(&mut pipeline, &mut memory)
+            }));
         }
-        pipeline.end().unwrap();
-        decoded.extend(std::iter::from_fn(|| pipeline.poll_unlabelled(&mut memory)));
+        pipeline.end();
+        decoded.extend(std::iter::from_fn(|| {
+            next_sweep(&mut pipeline, &mut memory)
+        }));
         let segmenter = Segmenter::new(stream.config.segment.clone()).unwrap();
         let segmenter = segmenter.with_heights_in_headers();
         let mut segmenters: [_; 3] =
@@ -229,9 +243,8 @@ fn independent_of_how_often_the_pipeline_is_polled() {
             |pipeline, memory, now_ns| {
                 for _ in 0..rng.u8(..4) {
                     // Less than the silence after which a sweep is closed.
-                    pipeline.tick(now_ns + rng.i64(0..450_000_000));
-                    extra += usize::from(pipeline.poll(memory).is_some());
-                    pipeline.segment_early(memory);
+                    pipeline.idle(Some(now_ns + rng.i64(0..450_000_000)));
+                    extra += usize::from(next_sweep(pipeline, memory).is_some());
                 }
             },
         );
@@ -289,11 +302,11 @@ fn alone_or_among_others_in_any_order_and_in_the_buffers_of_others() {
             let (_, pipeline, memory, sent, sweeps) = &mut under_way[index];
             // A batch, as the kernel hands them out.
             for one in sent.by_ref().take(rng.usize(1..60)) {
-                pipeline.push(&one.datagram().parse().unwrap()).unwrap();
+                pipeline.push(&one.datagram().parse().unwrap());
                 take(pipeline, memory, sweeps);
             }
             if sent.as_slice().is_empty() {
-                pipeline.end().unwrap();
+                pipeline.end();
                 take(pipeline, memory, sweeps);
                 let (stream, .., sweeps) = under_way.swap_remove(index);
                 stream.compare(&format!("among others, seed {seed}"), &sweeps);

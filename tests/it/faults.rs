@@ -11,7 +11,7 @@ use sweepd::sensor::Model::{self, Hdl32e, Hdl64eS3, Vlp16, Vlp32c};
 use sweepd::sweep::layout::flags::{BLANKED, CIRCULAR, PARTIAL, RATE_UNSTABLE, REVERSED, STOPPED};
 use sweepd::wire::data::DataPacket;
 use sweepd::wire::data::ReturnMode::{self, Dual, Last, Strongest};
-use sweepd_lab::testkit::stream::{Content, Run, Sent, Spin, config, cut_at};
+use sweepd_lab::testkit::stream::{Content, Run, Sent, Spin, config, cut_at, next_sweep};
 
 const KINDS: [(Model, ReturnMode); 8] = [
     (Vlp16, Strongest),
@@ -1059,14 +1059,12 @@ fn silence_closes_the_sweep_once() {
     let mut pipeline = Pipeline::new("test", config()).unwrap();
     let mut memory = Memory::new(HeapBuffers::default());
     let push = |pipeline: &mut Pipeline, memory: &mut Memory<HeapBuffers>, one: &Sent| {
-        pipeline
-            .push(
-                &stream::datagram(one.packet.emit(), one.arrival_ns)
-                    .parse()
-                    .unwrap(),
-            )
-            .unwrap();
-        std::iter::from_fn(|| pipeline.poll(memory)).count()
+        pipeline.push(
+            &stream::datagram(one.packet.emit(), one.arrival_ns)
+                .parse()
+                .unwrap(),
+        );
+        std::iter::from_fn(|| next_sweep(pipeline, memory)).count()
     };
     // Packet 18 is missing, so that 19 is held when the silence begins.
     let before: usize = sent[..18]
@@ -1076,21 +1074,24 @@ fn silence_closes_the_sweep_once() {
         .sum();
     assert_eq!(before, 0);
     let newest_ns = sent[19].arrival_ns;
-    pipeline.tick(newest_ns + 400_000_000);
-    assert!(pipeline.poll(&mut memory).is_none());
-    pipeline.tick(newest_ns + 600_000_000);
-    assert!(pipeline.poll(&mut memory).is_some());
-    assert!(pipeline.poll(&mut memory).is_none());
-    assert_eq!(pipeline.counts().lost, 1);
-    pipeline.tick(newest_ns + 900_000_000);
-    assert!(pipeline.poll(&mut memory).is_none());
+    pipeline.idle(Some(newest_ns + 400_000_000));
+    assert!(next_sweep(&mut pipeline, &mut memory).is_none());
+    pipeline.idle(Some(newest_ns + 600_000_000));
+    assert!(next_sweep(&mut pipeline, &mut memory).is_some());
+    assert!(next_sweep(&mut pipeline, &mut memory).is_none());
+    assert_eq!(pipeline.status().counts.lost, 1);
+    pipeline.idle(Some(newest_ns + 900_000_000));
+    assert!(next_sweep(&mut pipeline, &mut memory).is_none());
     let after: usize = sent[500..600]
         .iter()
         .map(|one| push(&mut pipeline, &mut memory, one))
         .sum();
-    assert_eq!((after, pipeline.counts().lost), (2, 480 + 1));
-    pipeline.end().unwrap();
-    assert!(pipeline.poll(&mut memory).is_some() && pipeline.poll(&mut memory).is_none());
+    assert_eq!((after, pipeline.status().counts.lost), (2, 480 + 1));
+    pipeline.end();
+    assert!(
+        next_sweep(&mut pipeline, &mut memory).is_some()
+            && next_sweep(&mut pipeline, &mut memory).is_none()
+    );
 }
 
 #[test]

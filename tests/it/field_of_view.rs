@@ -9,7 +9,7 @@ use sweepd::sensor::ModelExt;
 use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::flags::{BLANKED, CIRCULAR, PARTIAL};
 use sweepd::wire::data::ReturnMode::{self, Dual, Strongest};
-use sweepd_lab::testkit::stream::{Run, Sent, Spin, config, cut_at, datagram, unit};
+use sweepd_lab::testkit::stream::{Run, Sent, Spin, config, cut_at, datagram, next_sweep, unit};
 
 const KINDS: [(Model, ReturnMode); 6] = [
     (Vlp16, Strongest),
@@ -212,9 +212,9 @@ fn its_limits_are_measured() {
                 for one in &sent {
                     let emitted = &one.packet.emit();
                     let packet = datagram(emitted, one.arrival_ns).parse().unwrap();
-                    pipeline.push(&packet).unwrap();
-                    while pipeline.poll(&mut memory).is_some() {}
-                    known.extend(pipeline.field_of_view_deg());
+                    pipeline.push(&packet);
+                    while next_sweep(&mut pipeline, &mut memory).is_some() {}
+                    known.extend(pipeline.status().field_of_view_deg);
                 }
                 let place = format!("{model} {mode} {rpm} {fov:?}");
                 assert!(!known.is_empty(), "{place}");
@@ -226,7 +226,7 @@ fn its_limits_are_measured() {
                         "{place}: {start} {end}"
                     );
                 }
-                assert_eq!(pipeline.field_of_view_deg(), None, "{place}");
+                assert_eq!(pipeline.status().field_of_view_deg, None, "{place}");
             }
         }
     }
@@ -295,29 +295,31 @@ fn with_ticks(config: Config, sent: &[Sent], seed: u64) -> Run {
     let mut memory = Memory::new(HeapBuffers::default());
     let (mut sweeps, mut out_after) = (Vec::new(), Vec::new());
     for (index, one) in sent.iter().enumerate() {
-        let _ = pipeline.push(&datagram(one.packet.emit(), one.arrival_ns).parse().unwrap());
+        pipeline.push(&datagram(one.packet.emit(), one.arrival_ns).parse().unwrap());
         let until_ns = sent
             .get(index + 1)
             .map_or(one.arrival_ns, |next| next.arrival_ns);
         let mut now_ns = one.arrival_ns;
         loop {
-            while let Some(sweep) = pipeline.poll(&mut memory) {
-                sweeps.push(sweep);
-                out_after.push(index + 1);
+            while let Some(event) = pipeline.poll(&mut memory) {
+                sweeps.extend(event.sweep());
             }
+            out_after.resize(sweeps.len(), index + 1);
             now_ns += rng.i64(1..20_000_000);
             if now_ns >= until_ns {
                 break;
             }
-            assert!(!pipeline.tick(now_ns), "nothing stalled");
+            pipeline.idle(Some(now_ns));
         }
     }
-    let _ = pipeline.end();
-    sweeps.extend(std::iter::from_fn(|| pipeline.poll(&mut memory)));
+    pipeline.end();
+    while let Some(event) = pipeline.poll(&mut memory) {
+        sweeps.extend(event.sweep());
+    }
     out_after.resize(sweeps.len(), sent.len());
     Run {
         sweeps,
-        counts: pipeline.counts(),
+        counts: pipeline.status().counts,
         out_after,
     }
 }

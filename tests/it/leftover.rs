@@ -7,7 +7,7 @@ use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::Model;
 use sweepd::sweep::SweepRef;
 use sweepd::wire::data::ReturnMode;
-use sweepd_lab::testkit::stream::{Run, Sent, Spin, config, datagram, unit};
+use sweepd_lab::testkit::stream::{Run, Sent, Spin, config, datagram, next_sweep, unit};
 use zerocopy::IntoBytes;
 
 /// Buffers that are full of one byte.
@@ -29,14 +29,16 @@ fn valid(config: &Config, sent: &[Sent], full_of: u8) -> Vec<Vec<u8>> {
     let mut memory = Memory::new(Full(full_of));
     let mut sweeps = Vec::new();
     for one in sent {
-        pipeline
-            .push(&datagram(one.packet.emit(), one.arrival_ns).parse().unwrap())
-            .unwrap();
-        sweeps.extend(std::iter::from_fn(|| pipeline.poll(&mut memory)));
-        pipeline.segment_early(&mut memory);
+        pipeline.push(&datagram(one.packet.emit(), one.arrival_ns).parse().unwrap());
+        sweeps.extend(std::iter::from_fn(|| {
+            next_sweep(&mut pipeline, &mut memory)
+        }));
+        pipeline.idle(None);
     }
-    pipeline.end().unwrap();
-    sweeps.extend(std::iter::from_fn(|| pipeline.poll(&mut memory)));
+    pipeline.end();
+    sweeps.extend(std::iter::from_fn(|| {
+        next_sweep(&mut pipeline, &mut memory)
+    }));
     sweeps
         .iter()
         .map(|sweep| bytes(&SweepRef::open(sweep.as_ref()).unwrap()))

@@ -8,10 +8,9 @@ use crate::common::objects::{Listener, Tally};
 use sweepd::admission::{DiscoveredSensors, Refused};
 use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::capture::Capture;
-use sweepd::pipeline::{Config, Pipeline};
+use sweepd::pipeline::{Config, Event, Pipeline};
 use sweepd::segment::objects::MAX_WIDTH_RAD;
 use sweepd::sensor::Model::{self, Hdl32e, Hdl64eS2, Hdl64eS3, Vlp16, Vlp32c, Vls128};
-use sweepd::sweep::SweepRef;
 use sweepd::sweep::objects::why;
 use sweepd::wire::Datagram;
 use sweepd::wire::data::ReturnMode::Strongest;
@@ -28,7 +27,7 @@ struct Run {
 impl Run {
     fn new(config: Config, what: &str) -> Self {
         let mut pipeline = Pipeline::new("test", config).unwrap();
-        pipeline.listen(Some(MAX_WIDTH_RAD));
+        pipeline.find_objects(Some(MAX_WIDTH_RAD));
         Self {
             pipeline,
             memory: Memory::new(HeapBuffers::default()),
@@ -38,27 +37,27 @@ impl Run {
 
     /// Takes a datagram; looks for objects after it, or lets them gather.
     fn push(&mut self, datagram: &Datagram<'_>, gathers: bool) {
-        let _ = push(&mut self.pipeline, datagram);
-        self.take_sweeps();
+        push(&mut self.pipeline, datagram);
         if !gathers {
-            self.pipeline.segment_early(&mut self.memory);
-            self.listener.early(&mut self.pipeline);
+            self.pipeline.idle(None);
         }
+        self.take_events();
     }
 
     fn end(mut self) -> (Tally, usize) {
-        let _ = self.pipeline.end();
-        self.take_sweeps();
+        self.pipeline.end();
+        self.take_events();
         let Listener { tally, sweeps, .. } = self.listener;
         println!("{}: {sweeps} sweeps, {tally:?}", self.listener.what);
         (tally, sweeps)
     }
 
-    fn take_sweeps(&mut self) {
-        while let Some(buffer) = self.pipeline.poll(&mut self.memory) {
-            let sweep = SweepRef::open(buffer.as_ref()).unwrap();
-            self.listener.with_sweep(&mut self.pipeline, &sweep);
-        }
+    fn take_events(&mut self) {
+        while self
+            .listener
+            .poll(&mut self.pipeline, &mut self.memory)
+            .is_some()
+        {}
     }
 }
 
@@ -100,24 +99,24 @@ fn told_with_cut(model: Model, cut_deg: f64, max_width_rad: f32) -> Vec<Seen> {
     };
     config.segment.mount.height_m = Some(1.9);
     let mut pipeline = Pipeline::new("test", config).unwrap();
-    pipeline.listen(Some(max_width_rad));
+    pipeline.find_objects(Some(max_width_rad));
     let mut memory = Memory::new(HeapBuffers::default());
     let mut all = Vec::new();
     for sent in Emitter::new(sensor, &scene).untold() {
-        push(&mut pipeline, &sent.datagram()).unwrap();
-        if pipeline.poll(&mut memory).is_none() {
-            pipeline.segment_early(&mut memory);
+        push(&mut pipeline, &sent.datagram());
+        pipeline.idle(None);
+        while let Some(event) = pipeline.poll(&mut memory) {
+            let Event::Objects(found) = event else {
+                continue;
+            };
+            all.extend(found.objects.iter().map(|object| Seen {
+                why: object.why,
+                points: object.segment.points,
+                azimuths_rad: [object.azimuth_first_rad, object.azimuth_last_rad],
+                time_ns: found.time_ns + i64::from(object.last_ns),
+                bounds_m: [object.segment.min_m, object.segment.max_m],
+            }));
         }
-        let Some(told) = pipeline.told() else {
-            continue;
-        };
-        all.extend(told.objects.iter().map(|object| Seen {
-            why: object.why,
-            points: object.segment.points,
-            azimuths_rad: [object.azimuth_first_rad, object.azimuth_last_rad],
-            time_ns: told.time_ns + i64::from(object.last_ns),
-            bounds_m: [object.segment.min_m, object.segment.max_m],
-        }));
     }
     all
 }

@@ -259,7 +259,7 @@ fn label_early(sweep: &mut SweepMut<'_>, segmenter: &mut Segmenter, mut stops: V
         if segmenter.begin_early(sweep, ready) {
             while segmenter.find_ground(sweep) {
                 segmenter.join();
-                segmenter.tell(sweep);
+                segmenter.emit(sweep);
             }
         }
     }
@@ -589,7 +589,7 @@ proptest! {
             label_of(sweep, &config);
             let whole = written(&sweep.as_ref());
             let mut segmenter = Segmenter::new(config).unwrap();
-            segmenter.listen(Some(Objects::new(width_rad)));
+            segmenter.find_objects(Some(Objects::new(width_rad)));
             label_early(sweep, &mut segmenter, stops);
             prop_assert!(written(&sweep.as_ref()) == whole);
             let (first, told, labels) = segmenter.objects().unwrap().take();

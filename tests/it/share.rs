@@ -10,7 +10,7 @@ use crate::common::temp_domain;
 use sweepd::buffers::HeapBuffer;
 use sweepd::buffers::{Buffers, HeapBuffers, Memory};
 use sweepd::client::{Client, ClientError, JoinError, Sweep};
-use sweepd::pipeline::{Config, Pipeline};
+use sweepd::pipeline::{Config, Event, Pipeline};
 use sweepd::publish::{Domain, Loans, PublishError, ServiceSettings, Slot, Topic, pool_sweeps};
 use sweepd::segment::objects::MAX_WIDTH_RAD;
 use sweepd::sensor::Model;
@@ -19,7 +19,7 @@ use sweepd::sweep::{Shape, SweepMut, SweepRef};
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::{Emitter, EmitterConfig, fixtures};
 use sweepd_lab::testkit::TempDomain;
-use sweepd_lab::testkit::stream::{Sent, Spin, config, datagram, unit};
+use sweepd_lab::testkit::stream::{Sent, Spin, config, datagram, next_sweep, unit};
 
 /// Longest wait for what comes at once where this process has a core.
 const SOON: Duration = Duration::from_secs(20);
@@ -72,13 +72,11 @@ fn play<B: Buffers>(buffers: B, config: Config, sent: &[Sent], mut done: impl Fn
     let mut pipeline = Pipeline::new("192.168.1.201:2368", config).unwrap();
     let mut memory = Memory::new(buffers);
     for one in sent {
-        pipeline
-            .push(&datagram(one.packet.emit(), one.arrival_ns).parse().unwrap())
-            .unwrap();
-        std::iter::from_fn(|| pipeline.poll(&mut memory)).for_each(&mut done);
+        pipeline.push(&datagram(one.packet.emit(), one.arrival_ns).parse().unwrap());
+        std::iter::from_fn(|| next_sweep(&mut pipeline, &mut memory)).for_each(&mut done);
     }
-    pipeline.end().unwrap();
-    std::iter::from_fn(|| pipeline.poll(&mut memory)).for_each(&mut done);
+    pipeline.end();
+    std::iter::from_fn(|| next_sweep(&mut pipeline, &mut memory)).for_each(&mut done);
 }
 
 /// The file that is mapped where `bytes` are, and where in it they are.
@@ -761,38 +759,38 @@ fn objects_come_as_they_were_told() {
     let scene = fixtures::scene();
     let sensor = EmitterConfig::new(Model::Vlp16, ReturnMode::Strongest).turns(3.0);
     let mut pipeline = Pipeline::new("192.168.1.201:2368", Config::default()).unwrap();
-    pipeline.listen(Some(MAX_WIDTH_RAD));
+    pipeline.find_objects(Some(MAX_WIDTH_RAD));
     let mut memory = Memory::new(HeapBuffers::default());
     let (mut told, mut received): (Vec<Object>, Vec<Object>) = (Vec::new(), Vec::new());
     let (mut sweeps, mut messages) = (0, 0);
     for sent in Emitter::new(sensor, &scene).untold() {
-        pipeline.push(&sent.datagram().parse().unwrap()).unwrap();
-        if pipeline.poll(&mut memory).is_none() {
-            pipeline.segment_early(&mut memory);
-        }
-        let Some(these) = pipeline.told() else {
-            continue;
-        };
-        told.extend_from_slice(these.objects);
-        objects::write(&these, &sending, |message| {
-            let mut slot = loans.take(message.len());
-            slot.as_mut().copy_from_slice(message);
-            assert_eq!(slot.publish().unwrap(), 1, "one consumer");
-        });
-        while let Some(message) = consumer.next(Duration::ZERO).unwrap().received() {
-            messages += 1;
-            let view = message.view().unwrap();
-            let header = view.header;
-            assert_eq!(header.sequence, these.sequence);
-            assert_eq!((header.name(), header.run_ns), ("roof", 5));
-            assert_eq!((header.position_m, header.roll_rad), ([1.0, 2.0, 3.0], 0.3));
-            assert_eq!(header.first_ordinal as usize, received.len());
-            received.extend_from_slice(view.objects);
-            if header.flags & flags::LAST != 0 {
-                assert_eq!(view.labels, these.labels);
-                assert_eq!(received, told);
-                sweeps += 1;
-                (told, received) = (Vec::new(), Vec::new());
+        pipeline.push(&sent.datagram().parse().unwrap());
+        pipeline.idle(None);
+        while let Some(event) = pipeline.poll(&mut memory) {
+            let Event::Objects(these) = event else {
+                continue;
+            };
+            told.extend_from_slice(these.objects);
+            objects::write(&these, &sending, |message| {
+                let mut slot = loans.take(message.len());
+                slot.as_mut().copy_from_slice(message);
+                assert_eq!(slot.publish().unwrap(), 1, "one consumer");
+            });
+            while let Some(message) = consumer.next(Duration::ZERO).unwrap().received() {
+                messages += 1;
+                let view = message.view().unwrap();
+                let header = view.header;
+                assert_eq!(header.sequence, these.sequence);
+                assert_eq!((header.name(), header.run_ns), ("roof", 5));
+                assert_eq!((header.position_m, header.roll_rad), ([1.0, 2.0, 3.0], 0.3));
+                assert_eq!(header.first_ordinal as usize, received.len());
+                received.extend_from_slice(view.objects);
+                if header.flags & flags::LAST != 0 {
+                    assert_eq!(view.labels, these.labels);
+                    assert_eq!(received, told);
+                    sweeps += 1;
+                    (told, received) = (Vec::new(), Vec::new());
+                }
             }
         }
     }

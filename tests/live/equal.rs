@@ -8,6 +8,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
+use sweepd_lab::testkit::stream::next_sweep;
 
 use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::capture::Capture;
@@ -36,12 +37,12 @@ fn replayed(capture: &Path) -> Sweeps {
     let mut memory = Memory::new(HeapBuffers::default());
     let mut sweeps = Sweeps::new();
     while let Some(datagram) = capture.next_datagram().unwrap() {
-        pipeline.push(&datagram.parse().unwrap()).unwrap();
-        std::iter::from_fn(|| pipeline.poll(&mut memory))
+        pipeline.push(&datagram.parse().unwrap());
+        std::iter::from_fn(|| next_sweep(&mut pipeline, &mut memory))
             .for_each(|it| keep(&mut sweeps, &SweepRef::open(it.as_ref()).unwrap()));
     }
-    pipeline.end().unwrap();
-    std::iter::from_fn(|| pipeline.poll(&mut memory))
+    pipeline.end();
+    std::iter::from_fn(|| next_sweep(&mut pipeline, &mut memory))
         .for_each(|it| keep(&mut sweeps, &SweepRef::open(it.as_ref()).unwrap()));
     sweeps
 }

@@ -1,31 +1,34 @@
-//! The steps of the algorithm in their order: packets of one sensor in, labelled sweeps out.
+//! The steps of the algorithm in their order: packets of one sensor in, events out: labelled
+//! sweeps, objects, notices and faults.
 //!
 //! Pure: bytes and time come in as arguments. Live, replay and tests push the same packets
 //! through here, so the same bytes give the same sweeps.
 //!
 //! ```text
-//! push(packet)      what arrived                   poll()   the next sweep that is whole, segmented
-//! segment_early()   nothing to do at the moment
-//! tick(now)         nothing arrived for a while    end()    nothing will arrive any more
+//! push(packet)   what arrived            idle(now)   nothing is there at the moment
+//! poll(memory)   the next event          end()       nothing will arrive any more
 //! ```
 //!
-//! A sweep can be segmented while the head still turns:
-//! [`Pipeline::segment_early`].
+//! Call [`Pipeline::poll`] after each of the others until it gives `None`. After
+//! [`Pipeline::idle`] it also segments what is there of the open sweep, so that little is left to
+//! do when that is complete: the sweeps are the same without it.
 
 mod config;
 mod dark_beams;
 mod decoding;
+mod event;
 mod identify;
 mod report;
 mod state;
-mod telling;
 mod timed;
 
 pub use config::Config;
-pub use dark_beams::DarkBeam;
+pub use dark_beams::{DarkBeam, DarkBeams};
+pub use event::Event;
 pub use report::{Counts, Fault, Notice};
 pub use timed::TimedSegmenter;
 
+use crate::assemble::builder::Builder;
 use crate::assemble::clock::vouched_utc_ns;
 use crate::buffers::OpenBuffer;
 use crate::buffers::{Buffers, Memory};
@@ -34,15 +37,13 @@ use crate::segment::{ConfigError, STRIP_COLUMNS, Segmenter};
 use crate::sensor::detect::Detection;
 use crate::sensor::unit::Unit;
 use crate::sweep::SweepMut;
-use crate::sweep::objects::Told;
 use crate::wire::{Content, Packet, TIMES_NS};
-use dark_beams::DarkBeams;
 use decoding::LatePacket;
+use event::ObjectsOf;
 use fearless_simd::Level;
 use identify::{Handover, NumberedPacket, Setup};
-use report::Events;
+use report::Report;
 use state::State;
-use telling::Telling;
 
 /// One sensor's way from packets to labelled sweeps.
 pub struct Pipeline {
@@ -50,17 +51,87 @@ pub struct Pipeline {
     state: State,
     segmenter: TimedSegmenter,
     dark_beams: DarkBeams,
-    telling: Telling,
+    /// The sweep that the next objects are of.
+    objects_of: ObjectsOf,
+    /// Whether the next poll may segment the open sweep.
+    is_idle: bool,
+    labels_elsewhere: bool,
     /// The clock that times the stages, nanoseconds since any fixed moment.
     clock: fn() -> i64,
     /// Ordinal of the next data packet.
     next_number: u64,
-    events: Events,
+    report: Report,
 }
 
-/// A clock that stands still: all times are 0.
+/// What a pipeline is given beside its configuration.
+pub struct Options {
+    /// No more than these instructions of the machine are used (see
+    /// [`levels`](crate::assemble::lanes::levels)): all give the same sweeps, byte for byte.
+    pub level: Level,
+    /// Times the stages: nanoseconds since any fixed moment. The core has no clock of its own, so
+    /// that the default stands still and all times are 0.
+    pub clock: fn() -> i64,
+    /// What is known of an HDL-64E from [`Pipeline::known_unit`], so that decoding need not wait for
+    /// its calibration and power. For another sensor it has no effect.
+    pub unit: Option<Unit>,
+    /// Sweeps get the height of the sensor, but no labels: these are for a [`TimedSegmenter`] with
+    /// [heights in headers](Segmenter::with_heights_in_headers), on any thread, while this one
+    /// decodes the next sweep.
+    pub labels_elsewhere: bool,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            level: Level::new(),
+            clock: untimed,
+            unit: None,
+            labels_elsewhere: false,
+        }
+    }
+}
+
+/// A clock that stands still.
 fn untimed() -> i64 {
     0
+}
+
+/// What arrived from a sensor.
+#[derive(Clone, Copy, Debug)]
+pub enum Arrival<'a> {
+    /// A packet.
+    Packet(&'a Packet<'a>),
+    /// A datagram that has the length of a data packet but is none. It takes an ordinal like the
+    /// others.
+    Malformed,
+    /// A data packet that is passed over, undecoded: the ordinals of those that follow count it all
+    /// the same.
+    PassedOver,
+    /// So many position packets that need not be read: the next one that is pushed says all that
+    /// they do, and is newer.
+    OldPositions(u64),
+}
+
+impl<'a> From<&'a Packet<'a>> for Arrival<'a> {
+    fn from(packet: &'a Packet<'a>) -> Self {
+        Self::Packet(packet)
+    }
+}
+
+/// What a pipeline knows of its sensor.
+pub struct Status<'a> {
+    /// The model, and how it was detected, once it is known.
+    pub detection: Option<Detection>,
+    /// What became of the datagrams so far.
+    pub counts: Counts,
+    /// What an HDL-64E says of itself, as far as it has been heard.
+    pub unit: Option<&'a Unit>,
+    /// First and last azimuth of a limited field of view, clockwise from the sensor's +y, degrees;
+    /// `None` while no sector has been left out twice in a row.
+    pub field_of_view_deg: Option<(f64, f64)>,
+    /// Beams that no longer return, though those next to them do. The counts begin anew with another
+    /// sensor.
+    pub dark_beams: &'a DarkBeams,
 }
 
 impl Pipeline {
@@ -69,48 +140,53 @@ impl Pipeline {
     /// # Errors
     /// [`ConfigError`]: no sweep can be segmented like that.
     pub fn new(sensor: &str, config: Config) -> Result<Self, ConfigError> {
-        Self::with_level(sensor, config, Level::new())
+        Self::with_options(sensor, config, Options::default())
     }
 
-    /// The same, with no more than these instructions of the machine (see
-    /// [`levels`](crate::assemble::lanes::levels)): it gives the same sweeps, byte for byte.
+    /// The same, with what else it is given.
     ///
     /// # Errors
     /// [`ConfigError`], as [`Pipeline::new`].
-    pub fn with_level(sensor: &str, config: Config, level: Level) -> Result<Self, ConfigError> {
-        let segmenter = Segmenter::with_level(config.segment.clone(), level)?;
+    pub fn with_options(
+        sensor: &str,
+        config: Config,
+        options: Options,
+    ) -> Result<Self, ConfigError> {
+        let segmenter = Segmenter::with_level(config.segment.clone(), options.level)?;
         Ok(Self {
-            state: State::detecting(config.model, Handover::default()),
+            state: State::detecting(config.model, options.unit, Handover::default()),
             setup: Setup {
                 config,
                 sensor: sensor.to_owned(),
-                level,
+                level: options.level,
             },
-            segmenter: TimedSegmenter::new(segmenter, untimed),
+            segmenter: TimedSegmenter::new(segmenter, options.clock),
             dark_beams: DarkBeams::default(),
-            telling: Telling::default(),
-            clock: untimed,
+            objects_of: ObjectsOf::default(),
+            is_idle: false,
+            labels_elsewhere: options.labels_elsewhere,
+            clock: options.clock,
             next_number: 0,
-            events: Events::default(),
+            report: Report::default(),
         })
     }
 
-    /// Has this clock time the stages; the core has none of its own. It counts nanoseconds since
-    /// any fixed moment.
-    #[must_use]
-    pub fn timed_by(mut self, clock: fn() -> i64) -> Self {
-        self.clock = clock;
-        self.segmenter.set_clock(clock);
-        self
+    /// Takes what arrived from this sensor.
+    pub fn push<'a>(&mut self, arrival: impl Into<Arrival<'a>>) {
+        let counts = &mut self.report.counts;
+        match arrival.into() {
+            Arrival::Packet(packet) => self.push_packet(packet),
+            Arrival::Malformed => {
+                self.next_number += 1;
+                counts.data += 1;
+                counts.malformed += 1;
+            }
+            Arrival::PassedOver => self.next_number += 1,
+            Arrival::OldPositions(count) => counts.position += count,
+        }
     }
 
-    /// Takes a packet of this sensor. Call [`Pipeline::poll`] until it is empty before the next
-    /// one.
-    ///
-    /// # Errors
-    /// [`Fault`], once, when the packets turn out to be of no model that can be decoded; all that
-    /// follow are counted.
-    pub fn push(&mut self, packet: &Packet<'_>) -> Result<(), Fault> {
+    fn push_packet(&mut self, packet: &Packet<'_>) {
         // Sums of such times do not overflow, whatever the caller made of them.
         let arrival_ns = packet.arrival_ns.clamp(*TIMES_NS.start(), *TIMES_NS.end());
         match packet.content {
@@ -121,66 +197,60 @@ impl Pipeline {
                     arrival_ns,
                 };
                 self.next_number += 1;
-                self.events.counts.data += 1;
-                self.state.push(&packet, &self.setup, &mut self.events)
+                self.report.counts.data += 1;
+                let pushed = self.state.push(&packet, &self.setup, &mut self.report);
+                self.report.note_fault(pushed);
             }
             Content::Position(position, rmc) => {
-                self.events.counts.position += 1;
+                self.report.counts.position += 1;
                 if let Some(clocks) = self.state.clocks() {
                     let without_pps = self.setup.config.gps_without_pps;
                     let utc_ns = vouched_utc_ns(&position, rmc.as_ref(), without_pps);
                     clocks.note_utc(utc_ns, position.stamp_us, arrival_ns);
                 }
-                Ok(())
             }
         }
     }
 
-    /// Counts a datagram of this sensor that has the length of a data packet but is none. It takes
-    /// an ordinal like the others.
-    pub fn refuse(&mut self) {
-        self.next_number += 1;
-        self.events.counts.data += 1;
-        self.events.counts.malformed += 1;
-    }
-
-    /// Passes a data packet over, undecoded: the ordinals of those that follow count it all the
-    /// same.
-    pub fn pass_over(&mut self) {
-        self.next_number += 1;
-    }
-
-    /// Counts position packets that need not be read: the next one that is pushed says all that
-    /// they do, and is newer.
-    pub fn pass_over_positions(&mut self, count: u64) {
-        self.events.counts.position += count;
-    }
-
-    /// The next sweep that is whole, labelled; [`SweepRef::open`](crate::sweep::SweepRef::open)
-    /// reads it. Each call takes the same memory: the open sweep is built there.
-    pub fn poll<B: Buffers>(&mut self, memory: &mut Memory<B>) -> Option<B::Buffer> {
-        self.poll_with(memory, TimedSegmenter::segment)
-    }
-
-    /// The same without labels, but with the height of the sensor: the labels are for a
-    /// [`TimedSegmenter`] with [heights in headers](Segmenter::with_heights_in_headers), on any
-    /// thread, while this one decodes the next sweep. Instead of [`Pipeline::poll`] and
-    /// [`Pipeline::segment_early`].
-    pub fn poll_unlabelled<B: Buffers>(&mut self, memory: &mut Memory<B>) -> Option<B::Buffer> {
-        self.poll_with(memory, TimedSegmenter::find_height)
-    }
-
-    /// The next sweep that is whole, after a step of the segmenter.
-    fn poll_with<B: Buffers>(
-        &mut self,
-        memory: &mut Memory<B>,
-        step: fn(&mut TimedSegmenter, &mut SweepMut<'_>),
-    ) -> Option<B::Buffer> {
-        if !self.assemble(memory) {
-            return None;
+    /// Nothing more is there at the moment, such as after a batch of packets. With the time by the
+    /// clock that stamps packets, nanoseconds since 1970, a sweep that has stalled is closed as it
+    /// is.
+    pub fn idle(&mut self, now_ns: Option<i64>) {
+        self.is_idle = !self.labels_elsewhere;
+        if let Some(decoding) = self.state.decoding_mut()
+            && now_ns.is_some_and(|now_ns| decoding.is_stalled(now_ns))
+        {
+            decoding.flush();
         }
-        self.complete(memory, step);
-        memory.finish()
+    }
+
+    /// Nothing more will come: the packets held back and the open sweep come out.
+    pub fn end(&mut self) {
+        let ended = self.state.end(&self.setup, &mut self.report);
+        self.report.note_fault(ended);
+    }
+
+    /// The next event; `None` once there is no more. Each call takes the same memory: the open
+    /// sweep is built there.
+    pub fn poll<B: Buffers>(&mut self, memory: &mut Memory<B>) -> Option<Event<'_, B::Buffer>> {
+        if let Some(fault) = self.report.fault.take() {
+            return Some(Event::Fault(fault));
+        }
+        if let Some(notice) = self.report.notices.pop_front() {
+            return Some(Event::Notice(notice));
+        }
+        // The last objects of a sweep come before another sweep is begun.
+        if !self.objects_of.is_complete {
+            if self.assemble(memory) {
+                self.complete(memory);
+                return memory.finish().map(Event::Sweep);
+            }
+            if std::mem::take(&mut self.is_idle) {
+                self.segment_early(memory);
+            }
+        }
+        let objects = self.objects_of.take(self.segmenter.objects()?)?;
+        Some(Event::Objects(objects))
     }
 
     /// Places packets until the sweep in this buffer is whole, or there are no more; returns
@@ -194,9 +264,9 @@ impl Pipeline {
         match decoding.place_late(buffer) {
             Some(LatePacket::Placed) => {
                 self.segmenter.spoil();
-                self.events.counts.reordered += 1;
+                self.report.counts.reordered += 1;
             }
-            Some(LatePacket::Lost) => self.events.counts.late += 1,
+            Some(LatePacket::Lost) => self.report.counts.late += 1,
             None => {}
         }
         let is_whole = decoding.advance(buffer);
@@ -211,146 +281,71 @@ impl Pipeline {
     /// Begins again, if another sensor has taken the place of this one.
     fn exchange(&mut self) {
         if let Some(handover) = self.state.exchanged() {
-            self.events.counts = self.counts();
-            self.state = State::detecting(self.setup.config.model, handover);
+            self.report.counts = self.counts();
+            self.state = State::detecting(self.setup.config.model, None, handover);
             // The next sensor may sit elsewhere.
             self.segmenter.forget_height();
             self.dark_beams = DarkBeams::default();
         }
     }
 
-    /// Takes a step of the segmenter with a whole sweep, in place; writes where the sensor sits, and
-    /// looks for dark beams.
-    fn complete(
-        &mut self,
-        buffer: &mut dyn OpenBuffer,
-        step: fn(&mut TimedSegmenter, &mut SweepMut<'_>),
-    ) {
+    /// Labels a whole sweep, in place; writes where the sensor sits, and looks for dark beams.
+    fn complete(&mut self, buffer: &mut dyn OpenBuffer) {
         let Ok(mut sweep) = SweepMut::open(buffer.bytes()) else {
             return;
         };
-        step(&mut self.segmenter, &mut sweep);
+        if self.labels_elsewhere {
+            self.segmenter.find_height(&mut sweep);
+        } else {
+            self.segmenter.segment(&mut sweep);
+        }
         sweep.header.position_m = self.setup.config.position_m;
         sweep.header.yaw_rad = self.setup.config.yaw_rad;
         self.dark_beams.look(&sweep.as_ref());
         if self.segmenter.objects().is_some() {
-            self.telling
-                .ended(sweep.header, self.setup.config.segment.method);
+            let method = self.setup.config.segment.method;
+            self.objects_of = ObjectsOf::complete(sweep.header, method);
         }
     }
 
-    /// Segments the final columns of the open sweep, so that little is left to do when it is
-    /// complete. Call it when there is nothing else to do, such as after a batch of packets; the
-    /// sweeps are the same without it.
-    pub fn segment_early<B: Buffers>(&mut self, memory: &mut Memory<B>) {
+    /// Segments the final columns of the open sweep.
+    fn segment_early(&mut self, buffer: &mut dyn OpenBuffer) {
         if let Some(decoding) = self.state.decoding_mut()
-            && let Some((mut sweep, ready)) = decoding.builder.so_far(memory)
+            && let Some((mut sweep, ready)) = decoding.builder.so_far(buffer)
         {
             self.segmenter.segment_early(&mut sweep, ready);
             if self.segmenter.objects().is_some() {
-                let begun = decoding.begun_ns();
-                self.telling.goes_on(sweep.header, begun);
+                self.objects_of = ObjectsOf::open(sweep.header, decoding.begun_ns());
             }
         }
     }
 
     /// Finds objects while the head turns, from the next sweep on; `None` ends that. Objects wider
-    /// than `max_width_rad`, radians, come in parts. [`Pipeline::segment_early`] completes them,
-    /// the last ones come with the sweep; [`Pipeline::told`] hands them out.
-    pub fn listen(&mut self, max_width_rad: Option<f32>) {
-        self.segmenter.listen(max_width_rad.map(Objects::new));
-        self.telling = Telling::default();
+    /// than `max_width_rad`, radians, come in parts.
+    pub fn find_objects(&mut self, max_width_rad: Option<f32>) {
+        self.segmenter.find_objects(max_width_rad.map(Objects::new));
+        self.objects_of = ObjectsOf::default();
     }
 
-    /// The objects of one sweep that became complete since the last call; `None` if nothing is new.
-    /// Call it after each [`Pipeline::segment_early`], and after each [`Pipeline::poll`] that gave
-    /// a sweep, before the next one.
-    pub fn told(&mut self) -> Option<Told<'_>> {
-        self.telling.take(self.segmenter.objects()?)
-    }
-
-    /// Passes the time while nothing arrives, so that a stalled sweep is closed as it is. Returns
-    /// whether there is one: it comes out at the next [`Pipeline::poll`].
-    pub fn tick(&mut self, now_ns: i64) -> bool {
-        match self.state.decoding_mut() {
-            Some(decoding) if decoding.is_stalled(now_ns) => {
-                decoding.flush();
-                true
-            }
-            _ => false,
-        }
-    }
-
-    /// Nothing more will come: the packets held back and the open sweep come out at the next
-    /// [`Pipeline::poll`].
-    ///
-    /// # Errors
-    /// [`Fault`], when there were too few packets to tell the model before and it proves to be none
-    /// that can be decoded.
-    pub fn end(&mut self) -> Result<(), Fault> {
-        self.state.end(&self.setup, &mut self.events)
-    }
-
-    /// What happened since this was asked last.
-    pub fn take_notices(&mut self) -> Vec<Notice> {
-        std::mem::take(&mut self.events.notices)
-    }
-
-    /// The model, and how it was detected, once it is known.
-    pub fn detection(&self) -> Option<Detection> {
-        self.state.detection()
-    }
-
-    /// What an HDL-64E says of itself, as far as it has been heard.
-    pub fn unit(&self) -> Option<&Unit> {
-        self.state.unit()
-    }
-
-    /// Gives what is known of an HDL-64E, before the first packet, so that decoding need not wait
-    /// for its calibration and power. For another sensor it has no effect.
-    pub fn expect_unit(&mut self, known: Option<Unit>) {
-        self.state.expect_unit(known);
-    }
-
-    /// Ends the pipeline; gives what an HDL-64E has said of itself, for [`Pipeline::expect_unit`]
-    /// of the next one.
-    pub fn into_unit(self) -> Option<Unit> {
-        let mut unit = self.state.into_unit()?;
-        unit.forget_comparison();
-        // One that is being exchanged is asked again: what it said so far may be of two.
-        Some(unit).filter(Unit::is_settled)
-    }
-
-    /// Beams that no longer return, though those next to them do, from the highest down: see
-    /// [`DarkBeam`]. The counts begin anew with another sensor.
-    pub fn dark_beams(&self) -> impl Iterator<Item = DarkBeam> {
-        self.dark_beams.iter()
-    }
-
-    /// First and last azimuth of a limited field of view, clockwise from the sensor's +y, degrees;
-    /// `None` while no sector has been left out twice in a row.
-    pub fn field_of_view_deg(&self) -> Option<(f64, f64)> {
-        let (start, end) = self.state.decoding()?.builder.field_of_view_cdeg()?;
-        Some((start / 100.0, end / 100.0))
-    }
-
-    /// When the packet that completes the open sweep will arrive at the earliest, if the head goes
-    /// on as it did, nanoseconds since 1970; `None` while it is unknown. The caller that fetches
-    /// packets need not hurry before.
-    pub fn due_ns(&self) -> Option<i64> {
-        self.state.decoding()?.builder.due_ns()
-    }
-
-    /// Earliest arrival of the packet with which more objects of the open sweep can be complete,
-    /// nanoseconds since 1970: the last such packet within `every_ns` of the previous strip, but at
-    /// least the one that completes the next strip of columns. `None` if, as far as is known, none
-    /// will be complete before the sweep is.
-    pub fn objects_due_ns(&self, every_ns: i64) -> Option<i64> {
+    /// When the packet that is waited for will arrive at the earliest, if the head goes on as it
+    /// did, nanoseconds since 1970; `None` while it is unknown. The caller that fetches packets need
+    /// not hurry before. It is the packet that completes the open sweep, or with `objects_every_ns`
+    /// an earlier one with which more of its objects can be complete: the last one within that time
+    /// of the previous strip, but at least the one that completes the next strip of columns.
+    pub fn next_due_ns(&self, objects_every_ns: Option<i64>) -> Option<i64> {
         let builder = &self.state.decoding()?.builder;
+        let sweep_ns = builder.due_ns()?;
+        let objects_ns = objects_every_ns.and_then(|every_ns| self.strip_due_ns(builder, every_ns));
+        Some(objects_ns.map_or(sweep_ns, |objects_ns| objects_ns.min(sweep_ns)))
+    }
+
+    /// The same for strips of the open sweep alone; `None` if, as far as is known, none will be final
+    /// before it is complete.
+    fn strip_due_ns(&self, builder: &Builder, every_ns: i64) -> Option<i64> {
         let mut columns = self.segmenter.next_columns();
         let mut due_ns = builder.final_ns(columns)?;
         let strip_ns = builder.final_ns(columns + STRIP_COLUMNS)? - due_ns;
-        // The strip before was told that much before this one.
+        // The strip before was final that much before this one.
         let until_ns = due_ns - strip_ns + every_ns;
         loop {
             columns += STRIP_COLUMNS;
@@ -361,12 +356,32 @@ impl Pipeline {
         }
     }
 
-    /// What became of the datagrams so far.
-    pub fn counts(&self) -> Counts {
-        let mut counts = self.events.counts;
+    /// What is known of the sensor.
+    pub fn status(&self) -> Status<'_> {
+        let decoding = self.state.decoding();
+        let limits_cdeg = decoding.and_then(|decoding| decoding.builder.field_of_view_cdeg());
+        Status {
+            detection: self.state.detection(),
+            counts: self.counts(),
+            unit: self.state.unit(),
+            field_of_view_deg: limits_cdeg.map(|(start, end)| (start / 100.0, end / 100.0)),
+            dark_beams: &self.dark_beams,
+        }
+    }
+
+    fn counts(&self) -> Counts {
+        let mut counts = self.report.counts;
         if let Some(decoding) = self.state.decoding() {
             decoding.add_to(&mut counts);
         }
         counts
+    }
+
+    /// What an HDL-64E has said of itself, for the [`Options`] of the next pipeline.
+    pub fn known_unit(&self) -> Option<Unit> {
+        let mut unit = self.state.known_unit()?.clone();
+        unit.forget_comparison();
+        // One that is being exchanged is asked again: what it said so far may be of two.
+        Some(unit).filter(Unit::is_settled)
     }
 }

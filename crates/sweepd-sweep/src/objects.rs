@@ -17,7 +17,7 @@ pub const OBJECTS_MAGIC: [u8; 8] = *b"objects\n";
 /// Most bytes of a message: a longer one is split.
 pub const MESSAGE_BYTES: usize = 8 * 1024;
 
-/// Why an object is told.
+/// Why an object is emitted.
 pub mod why {
     /// A whole segment that no later column of this turn can join.
     pub const COMPLETE: u32 = 1;
@@ -77,7 +77,7 @@ impl Object {
 
 /// Objects of one sweep that became known together.
 #[derive(Clone, Copy, Debug)]
-pub struct Told<'a> {
+pub struct NewObjects<'a> {
     /// Number of the sweep.
     pub sequence: u64,
     /// Time of the sweep's first shot, nanoseconds since 1970: as far as it is known by now, and
@@ -87,7 +87,7 @@ pub struct Told<'a> {
     pub time_source: u32,
     /// Bits of [`flags`].
     pub flags: u32,
-    /// Objects of the sweep that were told before.
+    /// Objects of the sweep that became known before.
     pub first_ordinal: usize,
     /// What became known.
     pub objects: &'a [Object],
@@ -176,28 +176,28 @@ pub struct Sending<'a> {
 }
 
 /// Calls with the bytes of each message that says this, one after another.
-pub fn write(told: &Told<'_>, sending: &Sending<'_>, mut send: impl FnMut(&[u8])) {
+pub fn write(new: &NewObjects<'_>, sending: &Sending<'_>, mut send: impl FnMut(&[u8])) {
     let [yaw_rad, pitch_rad, roll_rad] = sending.angles_rad;
     let mut header = ObjectsHeader {
         magic: OBJECTS_MAGIC,
         version: OBJECTS_VERSION,
         header_bytes: size_of::<ObjectsHeader>() as u32,
-        sequence: told.sequence,
+        sequence: new.sequence,
         run_ns: sending.run_ns,
-        time_ns: told.time_ns,
+        time_ns: new.time_ns,
         sent_ns: sending.sent_ns,
         sent_monotonic_ns: sending.sent_monotonic_ns,
-        time_source: told.time_source,
+        time_source: new.time_source,
         position_m: sending.position_m,
         yaw_rad,
         pitch_rad,
         roll_rad,
-        first_ordinal: told.first_ordinal as u32,
+        first_ordinal: new.first_ordinal as u32,
         name: padded(sending.name),
         ..ObjectsHeader::new_zeroed()
     };
     let room = MESSAGE_BYTES - size_of::<ObjectsHeader>();
-    let (mut objects, mut labels) = (told.objects, told.labels);
+    let (mut objects, mut labels) = (new.objects, new.labels);
     let mut bytes = Vec::with_capacity(MESSAGE_BYTES);
     loop {
         let these;
@@ -212,7 +212,7 @@ pub fn write(told: &Told<'_>, sending: &Sending<'_>, mut send: impl FnMut(&[u8])
         let is_over = objects.is_empty() && labels.is_empty();
         header.objects = these.len() as u32;
         header.labels = these_labels.len() as u32;
-        header.flags = told.flags & !if is_over { 0 } else { flags::LAST };
+        header.flags = new.flags & !if is_over { 0 } else { flags::LAST };
         bytes.clear();
         bytes.extend_from_slice(header.as_bytes());
         bytes.extend_from_slice(these.as_bytes());
@@ -265,9 +265,9 @@ impl<'a> ObjectsRef<'a> {
         })
     }
 
-    /// What it tells.
-    pub fn told(&self) -> Told<'a> {
-        Told {
+    /// What became known, without who sent it.
+    pub fn new_objects(&self) -> NewObjects<'a> {
+        NewObjects {
             sequence: self.header.sequence,
             time_ns: self.header.time_ns,
             time_source: self.header.time_source,
@@ -315,7 +315,7 @@ mod tests {
             };
             let all: Vec<Object> = (0..objects).map(numbered).collect();
             let all_labels: Vec<u32> = (0..labels).collect();
-            let told = Told {
+            let new = NewObjects {
                 sequence: 3,
                 time_ns: 4,
                 time_source: 1,
@@ -333,7 +333,7 @@ mod tests {
                 angles_rad: [0.0; 3],
             };
             let (mut found, mut found_labels, mut lasts) = (Vec::new(), Vec::new(), Vec::new());
-            write(&told, &sending, |message| {
+            write(&new, &sending, |message| {
                 assert!(message.len() <= MESSAGE_BYTES);
                 let (header, _) = ObjectsHeader::read_from_prefix(message).unwrap();
                 let cut = &message[..message.len() - usize::from(message.len() > 192)];

@@ -3,7 +3,7 @@
 use crate::beams;
 use crate::text::row;
 use sweepd_core::buffers::{HeapBuffers, Memory};
-use sweepd_core::pipeline::{Config, DarkBeam, Pipeline};
+use sweepd_core::pipeline::{Config, DarkBeam, Options, Pipeline};
 use sweepd_core::segment::ConfigError;
 use sweepd_core::wire::Packet;
 
@@ -19,22 +19,26 @@ impl Turns {
     /// # Errors
     /// Never: the configuration is possible.
     pub fn new() -> Result<Self, ConfigError> {
+        let options = Options {
+            labels_elsewhere: true,
+            ..Options::default()
+        };
         Ok(Self {
-            pipeline: Pipeline::new("", Config::default())?,
+            pipeline: Pipeline::with_options("", Config::default(), options)?,
             memory: Memory::default(),
         })
     }
 
     /// Adds a packet.
     pub fn add(&mut self, packet: &Packet<'_>) {
+        self.pipeline.push(packet);
         // What cannot be decoded is told with the model.
-        let _ = self.pipeline.push(packet);
-        while self.pipeline.poll_unlabelled(&mut self.memory).is_some() {}
+        while self.pipeline.poll(&mut self.memory).is_some() {}
     }
 
     /// Adds a row for the beams that are dark at the end, if there are any.
     pub fn describe(&self, text: &mut String) {
-        let dark: Vec<DarkBeam> = self.pipeline.dark_beams().collect();
+        let dark: Vec<DarkBeam> = self.pipeline.status().dark_beams.iter().collect();
         if let Some(sentence) = beams::sentence(&dark) {
             row(text, "dark beams", sentence);
         }

@@ -168,8 +168,7 @@ impl<'a> Playback<'a> {
             return;
         }
         let until = Instant::now() + wait;
-        let tracks = self.streams.all.iter_mut();
-        tracks.for_each(Track::segment_early);
+        self.streams.idle();
         thread::sleep(until.saturating_duration_since(Instant::now()));
     }
 

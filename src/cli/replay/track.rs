@@ -13,11 +13,12 @@ use crate::cli::objects::ObjectLines;
 use crate::cli::output::SweepId;
 use crate::cli::play::When;
 use crate::cli::{CliError, complain};
+use crate::publish::Slot;
 use crate::streams::{SteadyTime, Stream};
 use crate::text::count_of;
 use sweepd_client::host::realtime_ns;
 use sweepd_core::buffers::Memory;
-use sweepd_core::pipeline::{Config, Counts, Fault, Notice, Pipeline};
+use sweepd_core::pipeline::{Arrival, Config, Counts, Event, Fault, Notice, Options, Pipeline};
 use sweepd_core::segment::objects::MAX_WIDTH_RAD;
 use sweepd_core::sensor::compare::Difference;
 use sweepd_core::sensor::detect::Detection;
@@ -43,8 +44,8 @@ pub(super) struct Track<'a> {
     index: usize,
     name: String,
     pipeline: Pipeline,
-    /// Whether the pipeline labels its sweeps.
-    has_labels: bool,
+    /// Whether another thread labels the sweeps.
+    labels_elsewhere: bool,
     /// Kept from round to round.
     memory: Memory<JobBuffers>,
     /// When this round began.
@@ -56,8 +57,12 @@ pub(super) struct Track<'a> {
     past: Counts,
     /// Prints objects, if that was asked for.
     objects: Option<ObjectLines>,
+    /// A sweep whose last objects are printed before it is given.
+    whole: Option<Sweep>,
     /// Arrival of the newest datagram of the capture.
     newest_ns: i64,
+    /// Number of the record with the newest packet; none at the end.
+    record: Option<u64>,
     pub(super) fault: Option<String>,
 }
 
@@ -70,7 +75,8 @@ impl<'a> Track<'a> {
             buffers.push(args.publish.loans(index, name)?);
         }
         let job = Arc::clone(&setup.job);
-        let pipeline = pipeline(args, name, &setup.config)?;
+        let labels_elsewhere = setup.jobs > 1;
+        let pipeline = pipeline(args, name, &setup.config, labels_elsewhere)?;
         if let Some(note) = args.publish.note(index, name) {
             setup.progress.suspend(|| complain("note", note));
         }
@@ -80,35 +86,32 @@ impl<'a> Track<'a> {
             index,
             name: name.to_owned(),
             pipeline,
-            has_labels: setup.jobs == 1,
+            labels_elsewhere,
             memory: Memory::new(JobBuffers { buffers, job }),
             run_ns: realtime_ns(),
             detection: None,
             emitted: 0,
             past: Counts::default(),
             objects: args.objects.then(ObjectLines::default),
+            whole: None,
             newest_ns: 0,
+            record: None,
             fault: None,
         })
     }
 
     /// Begins again with a pipeline that knows nothing.
     pub(super) fn begin_round(&mut self, config: &Config) -> Result<(), CliError> {
-        self.past += self.pipeline.counts();
-        self.pipeline = pipeline(self.args, &self.name, config)?;
+        self.past += self.pipeline.status().counts;
+        self.pipeline = pipeline(self.args, &self.name, config, self.labels_elsewhere)?;
         self.run_ns = realtime_ns();
         Ok(())
-    }
-
-    /// Segments what is there of the open sweep.
-    pub(super) fn segment_early(&mut self) {
-        self.pipeline.segment_early(&mut self.memory);
     }
 
     /// Of all rounds.
     pub(super) fn counts(&self) -> Counts {
         let mut counts = self.past;
-        counts += self.pipeline.counts();
+        counts += self.pipeline.status().counts;
         counts
     }
 
@@ -116,7 +119,7 @@ impl<'a> Track<'a> {
     pub(super) fn report<'r>(&'r self, sums: &'r Sums) -> SensorReport<'r> {
         SensorReport {
             sensor: &self.name,
-            detection: self.pipeline.detection().or(self.detection),
+            detection: self.pipeline.status().detection.or(self.detection),
             fault: self.fault.as_deref(),
             counts: self.counts(),
             sums,
@@ -124,58 +127,68 @@ impl<'a> Track<'a> {
         }
     }
 
-    /// The next sweep that is whole. Prints the objects that became known, with --objects.
+    /// The next sweep that is whole. Prints the objects that became known, with --objects, and shows
+    /// what else happened.
     ///
     /// # Errors
     /// [`CliError::Stdout`].
     fn poll(&mut self) -> Result<Option<Sweep>, CliError> {
-        while let Some(buffer) = match self.has_labels {
-            true => self.pipeline.poll(&mut self.memory),
-            false => self.pipeline.poll_unlabelled(&mut self.memory),
-        } {
-            self.print_objects()?;
-            let Ok(sweep) = SweepRef::open(buffer.as_ref()) else {
-                continue;
-            };
-            let Some(detection) = self.pipeline.detection() else {
-                continue;
-            };
-            let is_emitted = self.args.play.partial || !sweep.header.has(flags::PARTIAL);
-            let id = SweepId {
-                sensor: self.index,
-                model: detection.model,
-                seq: self.emitted,
-            };
-            self.emitted += u64::from(is_emitted);
-            return Ok(Some(Sweep {
-                id,
-                is_emitted,
-                run_ns: self.run_ns,
-                buffer,
-            }));
-        }
-        if self.objects.is_some() {
-            self.segment_early();
-            self.print_objects()?;
+        while let Some(event) = self.pipeline.poll(&mut self.memory) {
+            match event {
+                Event::Sweep(buffer) => {
+                    self.whole = self.number(buffer);
+                    if self.objects.is_none() {
+                        return Ok(self.whole.take());
+                    }
+                }
+                Event::Objects(new) => {
+                    if let Some(lines) = &mut self.objects {
+                        lines.print(&self.name, &new, self.newest_ns)?;
+                    }
+                    if self.whole.is_some() {
+                        return Ok(self.whole.take());
+                    }
+                }
+                Event::Notice(notice) => {
+                    let (level, text) = explain_notice(&notice);
+                    self.progress
+                        .suspend(|| complain(level, format_args!("{}: {text}", self.name)));
+                }
+                Event::Fault(fault) => self.show_fault(&fault),
+            }
         }
         Ok(None)
     }
 
-    fn print_objects(&mut self) -> Result<(), CliError> {
-        if let Some(lines) = &mut self.objects
-            && let Some(told) = self.pipeline.told()
-        {
-            lines.print(&self.name, &told, self.newest_ns)?;
-        }
-        Ok(())
+    /// A sweep with its number; `None` if it is none.
+    fn number(&mut self, buffer: Slot) -> Option<Sweep> {
+        let sweep = SweepRef::open(buffer.as_ref()).ok()?;
+        let detection = self.pipeline.status().detection?;
+        let is_emitted = self.args.play.partial || !sweep.header.has(flags::PARTIAL);
+        let id = SweepId {
+            sensor: self.index,
+            model: detection.model,
+            seq: self.emitted,
+        };
+        self.emitted += u64::from(is_emitted);
+        Some(Sweep {
+            id,
+            is_emitted,
+            run_ns: self.run_ns,
+            buffer,
+        })
     }
 
     /// Shows a fault at once, since a replay may take long; the same one only once, since it may
     /// come with every packet.
-    fn show_fault(&mut self, fault: &Fault, place: &str) {
+    fn show_fault(&mut self, fault: &Fault) {
         let fault = self.args.explain(fault);
         if self.fault.as_ref() != Some(&fault) {
             let capture = self.args.capture.display();
+            let place = match self.record {
+                Some(record) => format!(", record {record}"),
+                None => String::new(),
+            };
             let message = format!("{capture}{place}: {}: {fault}", self.name);
             self.progress.suspend(|| complain("error", message));
             self.fault = Some(fault);
@@ -191,30 +204,27 @@ impl Stream for Track<'_> {
         let packet = match packet {
             // Also before --start: they have the time.
             Some(packet) if matches!(packet.content, Content::Position(..)) => packet,
-            _ if is_before => return self.pipeline.pass_over(),
+            _ if is_before => return self.pipeline.push(Arrival::PassedOver),
             Some(packet) => packet,
-            None => return self.pipeline.refuse(),
+            None => return self.pipeline.push(Arrival::Malformed),
         };
-        if let Err(fault) = self.pipeline.push(packet) {
-            self.show_fault(&fault, &format!(", record {}", placed.record));
-        }
-        self.detection = self.pipeline.detection().or(self.detection);
-        for notice in self.pipeline.take_notices() {
-            let (level, text) = explain_notice(&notice);
-            self.progress
-                .suspend(|| complain(level, format_args!("{}: {text}", self.name)));
+        self.record = Some(placed.record);
+        self.pipeline.push(packet);
+        self.detection = self.pipeline.status().detection.or(self.detection);
+        if self.objects.is_some() {
+            // So that objects are printed behind the packet that completes them.
+            self.pipeline.idle(None);
         }
     }
 
-    fn tick(&mut self, time: SteadyTime) -> bool {
+    fn idle(&mut self, time: SteadyTime) {
         self.newest_ns = time.newest_ns;
-        self.pipeline.tick(time.now_ns)
+        self.pipeline.idle(Some(time.now_ns));
     }
 
     fn end(&mut self) {
-        if let Err(fault) = self.pipeline.end() {
-            self.show_fault(&fault, "");
-        }
+        self.record = None;
+        self.pipeline.end();
     }
 
     fn next_sweep(&mut self) -> Option<Result<Sweep, CliError>> {
@@ -222,15 +232,21 @@ impl Stream for Track<'_> {
     }
 }
 
-fn pipeline(args: &Args, name: &str, config: &Config) -> Result<Pipeline, CliError> {
-    match Pipeline::new(name, config.clone()) {
-        Ok(pipeline) => {
-            let mut pipeline = pipeline.timed_by(args.clock());
-            pipeline.listen(args.objects.then_some(MAX_WIDTH_RAD));
-            Ok(pipeline)
-        }
-        Err(error) => Err(CliError::Usage(error.to_string())),
-    }
+fn pipeline(
+    args: &Args,
+    name: &str,
+    config: &Config,
+    labels_elsewhere: bool,
+) -> Result<Pipeline, CliError> {
+    let options = Options {
+        clock: args.clock(),
+        labels_elsewhere,
+        ..Options::default()
+    };
+    let mut pipeline = Pipeline::with_options(name, config.clone(), options)
+        .map_err(|error| CliError::Usage(error.to_string()))?;
+    pipeline.find_objects(args.objects.then_some(MAX_WIDTH_RAD));
+    Ok(pipeline)
 }
 
 /// A notice in words, and how serious it is.

@@ -50,7 +50,7 @@ pub(super) fn run(args: &Args, client: &Client, over: &AtomicBool) -> Result<(),
         if args.latency {
             delays.add(&view, now_ns);
         } else {
-            lines.print(view.header.name(), &view.told(), view.header.sent_ns)?;
+            lines.print(view.header.name(), &view.new_objects(), view.header.sent_ns)?;
         }
         let had_height = has_height;
         has_height = view.header.flags & flags::NO_HEIGHT == 0;

@@ -57,6 +57,7 @@ mod tests {
     use sweepd_core::pipeline::Pipeline;
     use sweepd_core::wire::data::ReturnMode;
     use sweepd_lab::simulate::{Emitter, EmitterConfig, street};
+    use sweepd_lab::testkit::stream::next_sweep;
 
     /// Notes how much is asked for.
     struct Measuring(HeapBuffers, Arc<Mutex<usize>>);
@@ -84,8 +85,8 @@ mod tests {
             let mut memory = Memory::new(buffers);
             let mut pipeline = Pipeline::new("roof", config.pipeline.clone()).unwrap();
             for sent in Emitter::new(EmitterConfig::new(model, mode).turns(0.2), &scene).untold() {
-                pipeline.push(&sent.datagram().parse().unwrap()).unwrap();
-                assert!(pipeline.poll(&mut memory).is_none());
+                pipeline.push(&sent.datagram().parse().unwrap());
+                assert!(next_sweep(&mut pipeline, &mut memory).is_none());
             }
             let asked = *asked.lock().unwrap();
             assert_eq!(sweep_bytes(&config), asked..=asked, "{model}");

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 use std::sync::OnceLock;
 
 use sweepd::buffers::{HeapBuffers, Memory};
-use sweepd::pipeline::{Config, Pipeline};
+use sweepd::pipeline::{Arrival, Config, Event, Pipeline};
 use sweepd::sensor::model::Stamp;
 use sweepd::sensor::{Calibration, Model, ModelExt, stream};
 use sweepd::sweep::SweepRef;
@@ -139,18 +139,23 @@ impl Rig {
             payload,
         };
         match datagram.parse() {
-            Ok(packet) => {
-                if let Err(fault) = self.pipeline.push(&packet) {
-                    assert!(!fault.to_string().is_empty());
-                }
-            }
-            Err(_) => self.pipeline.refuse(),
+            Ok(packet) => self.pipeline.push(&packet),
+            Err(_) => self.pipeline.push(Arrival::Malformed),
         }
+        self.pipeline.idle(None);
         self.poll();
     }
 
     fn poll(&mut self) {
-        while let Some(bytes) = self.pipeline.poll(&mut self.memory) {
+        while let Some(event) = self.pipeline.poll(&mut self.memory) {
+            let bytes = match event {
+                Event::Sweep(bytes) => bytes,
+                Event::Fault(fault) => {
+                    assert!(!fault.to_string().is_empty());
+                    continue;
+                }
+                Event::Objects(_) | Event::Notice(_) => continue,
+            };
             let sweep = SweepRef::open(bytes.as_ref()).expect("what is published is a sweep");
             let sequence = sweep.header.sequence;
             assert!(
@@ -161,12 +166,7 @@ impl Rig {
             self.sequence = Some(sequence);
             check(&sweep);
         }
-        self.pipeline.segment_early(&mut self.memory);
-        let _ = (
-            self.pipeline.take_notices(),
-            self.pipeline.due_ns(),
-            self.pipeline.counts(),
-        );
+        let _ = (self.pipeline.next_due_ns(None), self.pipeline.status());
     }
 }
 
@@ -245,10 +245,9 @@ pub fn pipeline(input: &[u8]) {
     while !numbers.is_empty() && rig.data + rig.positions < MOST_PACKETS as u64 {
         happen(&mut numbers, &mut head, &mut rig);
     }
-    let ended = rig.pipeline.end();
-    assert!(ended.is_ok() || !ended.unwrap_err().to_string().is_empty());
+    rig.pipeline.end();
     rig.poll();
-    let counts = rig.pipeline.counts();
+    let counts = rig.pipeline.status().counts;
     assert_eq!((counts.data, counts.position), (rig.data, rig.positions));
 }
 
@@ -302,7 +301,7 @@ fn happen(numbers: &mut Numbers<'_>, head: &mut Head, rig: &mut Rig) {
             let now_ns = head
                 .arrival_ns
                 .wrapping_add(i64::from(numbers.u16() as i16) << (numbers.u8() % 48));
-            rig.pipeline.tick(now_ns);
+            rig.pipeline.idle(Some(now_ns));
             rig.poll();
         }
         // Any bytes.
@@ -333,9 +332,9 @@ fn happen(numbers: &mut Numbers<'_>, head: &mut Head, rig: &mut Rig) {
             rig.push(head.arrival_ns, packet.emit());
         }
         _ if numbers.u8().is_multiple_of(4) => {
-            let _ = rig.pipeline.end();
+            rig.pipeline.end();
             rig.poll();
         }
-        _ => rig.pipeline.pass_over(),
+        _ => rig.pipeline.push(Arrival::PassedOver),
     }
 }

@@ -40,7 +40,7 @@ impl DarkBeam {
 }
 
 /// Counts for each beam of a sensor how long it has been dark.
-pub(super) struct DarkBeams {
+pub struct DarkBeams {
     /// By row; those of a beam that has just returned have no turns.
     beams: [DarkBeam; MAX_ROWS],
     /// Rows, a bit each, that have ever returned.
@@ -58,7 +58,7 @@ impl Default for DarkBeams {
 
 impl DarkBeams {
     /// Looks at a sweep; one that is no whole turn tells nothing.
-    pub fn look(&mut self, sweep: &SweepRef<'_>) {
+    pub(super) fn look(&mut self, sweep: &SweepRef<'_>) {
         let rows = sweep.rows();
         if sweep.header.has(flags::PARTIAL | flags::STOPPED) || !(1..=MAX_ROWS).contains(&rows) {
             return;

@@ -1,7 +1,7 @@
 //! A sensor that is known: its packets into order, and into sweeps.
 
 use super::identify::{ForeignRun, Handover, KnownSensor, NumberedPacket, Setup};
-use super::report::{Counts, Events, Fault, Notice};
+use super::report::{Counts, Fault, Notice, Report};
 use crate::assemble::builder::{Builder, BuilderConfig};
 use crate::assemble::decode::Decoder;
 use crate::assemble::motion::TURN;
@@ -109,13 +109,13 @@ impl Decoding {
     }
 
     /// Puts a packet in order, or counts why it has no place.
-    pub fn push(&mut self, packet: &NumberedPacket<'_>, setup: &Setup, events: &mut Events) {
+    pub fn push(&mut self, packet: &NumberedPacket<'_>, setup: &Setup, report: &mut Report) {
         let NumberedPacket {
             bytes,
             number,
             arrival_ns,
         } = *packet;
-        let counts = &mut events.counts;
+        let counts = &mut report.counts;
         if bytes.banks().count().is_none() {
             counts.malformed += 1;
             return;
@@ -135,9 +135,9 @@ impl Decoding {
             return;
         }
         if let Some(differences) = self.hear(bytes, arrival_ns, is_detected) {
-            events
+            report
                 .notices
-                .push(Notice::OtherCalibration { differences });
+                .push_back(Notice::OtherCalibration { differences });
         }
         let mode = self.detection.mode_of(bytes, self.last_mode);
         self.measure(bytes, mode);
@@ -283,11 +283,6 @@ impl Decoding {
     /// What an HDL-64E has said of itself.
     pub fn unit(&self) -> Option<&Unit> {
         self.unit.as_ref().map(|(unit, _)| unit)
-    }
-
-    /// The same, when nothing more is decoded.
-    pub fn into_unit(self) -> Option<Unit> {
-        self.unit.map(|(unit, _)| unit)
     }
 
     /// Adds what order and builder have counted.

@@ -3,7 +3,7 @@
 use fearless_simd::Level;
 
 use super::config::Config;
-use super::report::{Events, Fault, Notice};
+use super::report::{Fault, Notice, Report};
 use crate::assemble::clock::{Clocks, SensorClock};
 use crate::assemble::motion::rate_between;
 use crate::sensor::detect::{DetectError, Detection, Detector, MAX_PACKETS};
@@ -101,13 +101,13 @@ pub(super) struct Detecting {
 }
 
 impl Detecting {
-    pub fn new(model: Option<Model>, handover: Handover) -> Self {
+    pub fn new(model: Option<Model>, unit: Option<Unit>, handover: Handover) -> Self {
         Self {
             detector: Detector::new(model),
             waiting: Vec::with_capacity(MAX_PACKETS),
             doubts: 0,
             doubt: None,
-            unit: None,
+            unit,
             handover,
         }
     }
@@ -248,9 +248,9 @@ impl Calibrating {
         &mut self,
         packet: &NumberedPacket<'_>,
         config: &Config,
-        events: &mut Events,
+        report: &mut Report,
     ) -> Option<KnownSensor> {
-        events.counts.undecoded += 1;
+        report.counts.undecoded += 1;
         let bytes = packet.bytes;
         let is_foreign = !self.detection.has_layout(bytes);
         self.foreign.note(is_foreign);
@@ -265,9 +265,9 @@ impl Calibrating {
         }
         let mut detection = self.detection;
         let calibration = sent_calibration(config, &self.unit, &mut detection)?;
-        events.notices.push(Notice::Calibrated {
+        report.notices.push_back(Notice::Calibrated {
             calibrated: self.unit.calibrated(),
-            packets: events.counts.data,
+            packets: report.counts.data,
         });
         let rate_cdeg_ns = self.marks[0]
             .and_then(|mark| rate_between(&mark, bytes, detection.return_mode, detection.spec));

@@ -1,4 +1,6 @@
-//! What a pipeline tells beside its sweeps: counts, faults, and what else happened.
+//! What a pipeline reports beside its sweeps: counts, faults, and what else happened.
+
+use std::collections::VecDeque;
 
 use crate::sensor::Model;
 use crate::sensor::compare::Difference;
@@ -86,10 +88,21 @@ pub enum Fault {
 
 /// What happened in a pipeline so far.
 #[derive(Default)]
-pub(super) struct Events {
+pub(super) struct Report {
     pub counts: Counts,
-    /// Since they were fetched last.
-    pub notices: Vec<Notice>,
+    /// Since they were polled last.
+    pub notices: VecDeque<Notice>,
+    /// Not polled yet.
+    pub fault: Option<Fault>,
+}
+
+impl Report {
+    /// Keeps the fault of what failed.
+    pub fn note_fault(&mut self, done: Result<(), Fault>) {
+        if let Err(fault) = done {
+            self.fault = Some(fault);
+        }
+    }
 }
 
 /// What happened that people want to know of, apart from the sweeps.

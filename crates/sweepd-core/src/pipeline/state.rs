@@ -9,7 +9,7 @@
 
 use super::decoding::Decoding;
 use super::identify::{Calibrating, Detecting, Handover, Identity, NumberedPacket, Setup};
-use super::report::{Events, Fault, Notice};
+use super::report::{Fault, Notice, Report};
 use crate::assemble::clock::Clocks;
 use crate::sensor::Model;
 use crate::sensor::detect::{DetectError, Detection};
@@ -27,9 +27,9 @@ pub(super) enum State {
 }
 
 impl State {
-    /// A sensor of which nothing is known, unless its model is given.
-    pub fn detecting(model: Option<Model>, handover: Handover) -> Self {
-        State::Detecting(Box::new(Detecting::new(model, handover)))
+    /// A sensor of which no more is known than what is given.
+    pub fn detecting(model: Option<Model>, unit: Option<Unit>, handover: Handover) -> Self {
+        State::Detecting(Box::new(Detecting::new(model, unit, handover)))
     }
 
     /// Takes a data packet.
@@ -40,22 +40,23 @@ impl State {
         &mut self,
         packet: &NumberedPacket<'_>,
         setup: &Setup,
-        events: &mut Events,
+        report: &mut Report,
     ) -> Result<(), Fault> {
         match self {
             State::Detecting(detecting) => {
                 if let Some(result) = detecting.push(packet) {
-                    return self.detected(result, setup, events);
+                    return self.detected(result, setup, report);
                 }
             }
             State::Calibrating(calibrating) => {
-                if let Some(known) = calibrating.push(packet, &setup.config, events) {
+                if let Some(known) = calibrating.push(packet, &setup.config, report) {
+                    // Where the sensor is refused, `?` leaves at this state.
                     *self = State::Refusing;
                     *self = State::Decoding(Box::new(Decoding::new(known, setup)?));
                 }
             }
-            State::Decoding(decoding) => decoding.push(packet, setup, events),
-            State::Refusing => events.counts.undecoded += 1,
+            State::Decoding(decoding) => decoding.push(packet, setup, report),
+            State::Refusing => report.counts.undecoded += 1,
         }
         Ok(())
     }
@@ -64,11 +65,11 @@ impl State {
     ///
     /// # Errors
     /// [`Fault`]: what came was not enough, or is of no sensor that can be decoded.
-    pub fn end(&mut self, setup: &Setup, events: &mut Events) -> Result<(), Fault> {
+    pub fn end(&mut self, setup: &Setup, report: &mut Report) -> Result<(), Fault> {
         if let State::Detecting(detecting) = self
             && let Some(result) = detecting.conclude()
         {
-            self.detected(result, setup, events)?;
+            self.detected(result, setup, report)?;
         }
         match self {
             State::Decoding(decoding) => decoding.flush(),
@@ -88,33 +89,33 @@ impl State {
         &mut self,
         result: Result<Detection, DetectError>,
         setup: &Setup,
-        events: &mut Events,
+        report: &mut Report,
     ) -> Result<(), Fault> {
         let State::Detecting(mut detecting) = std::mem::replace(self, State::Refusing) else {
             return Ok(());
         };
         // All of them, unless decoding begins with those that wait.
-        events.counts.undecoded += detecting.packets();
+        report.counts.undecoded += detecting.packets();
         let detection = result?;
         if let Some(given) = &setup.config.calibration
             && given.has_mistaken_unit(detection.model)
         {
-            events.notices.push(Notice::MistakenUnit {
+            report.notices.push_back(Notice::MistakenUnit {
                 found_m: given.distance_unit_m(),
                 used_m: detection.spec.distance_unit_m,
             });
         }
         match detecting.identify(detection, &setup.config)? {
             Identity::AwaitsCalibration(calibrating) => {
-                events.notices.push(Notice::AwaitsCalibration);
+                report.notices.push_back(Notice::AwaitsCalibration);
                 *self = State::Calibrating(calibrating);
             }
             Identity::Known(known) => {
                 let mut decoding = Decoding::new(*known, setup)?;
-                events.counts.reordered += detecting.sort();
+                report.counts.reordered += detecting.sort();
                 for packet in detecting.waiting() {
-                    events.counts.undecoded -= 1;
-                    decoding.push(&packet, setup, events);
+                    report.counts.undecoded -= 1;
+                    decoding.push(&packet, setup, report);
                 }
                 *self = State::Decoding(Box::new(decoding));
             }
@@ -166,20 +167,11 @@ impl State {
         }
     }
 
-    /// Expects the HDL-64E of which this is known, before the first packet.
-    pub fn expect_unit(&mut self, known: Option<Unit>) {
-        if let State::Detecting(detecting) = self {
-            detecting.unit = known;
-        }
-    }
-
     /// What is known of the HDL-64E that this is, or is expected to be.
-    pub fn into_unit(self) -> Option<Unit> {
+    pub fn known_unit(&self) -> Option<&Unit> {
         match self {
-            State::Detecting(detecting) => detecting.unit,
-            State::Calibrating(calibrating) => Some(calibrating.unit),
-            State::Decoding(decoding) => decoding.into_unit(),
-            State::Refusing => None,
+            State::Detecting(detecting) => detecting.unit.as_ref(),
+            _ => self.unit(),
         }
     }
 

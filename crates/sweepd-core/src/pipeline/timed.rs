@@ -31,19 +31,14 @@ impl TimedSegmenter {
         }
     }
 
-    /// Takes another clock.
-    pub(super) fn set_clock(&mut self, clock: fn() -> i64) {
-        self.clock = clock;
-    }
-
     /// What was done early of the open sweep no longer holds.
     pub(super) fn spoil(&mut self) {
         self.segmenter.spoil();
     }
 
-    /// Listens for objects, or no more.
-    pub(super) fn listen(&mut self, objects: Option<Objects>) {
-        self.segmenter.listen(objects);
+    /// Finds objects, or no more.
+    pub(super) fn find_objects(&mut self, objects: Option<Objects>) {
+        self.segmenter.find_objects(objects);
     }
 
     /// Columns of the open sweep that must be final before more of it can be done early.
@@ -51,7 +46,7 @@ impl TimedSegmenter {
         self.segmenter.next_columns()
     }
 
-    /// The listener, if there is one.
+    /// The objects, if they are to be found.
     pub(super) fn objects(&mut self) -> Option<&mut Objects> {
         self.segmenter.objects()
     }
@@ -75,7 +70,7 @@ impl TimedSegmenter {
     pub(super) fn segment_early(&mut self, sweep: &mut SweepMut<'_>, ready: usize) {
         self.take_time(sweep.header.sequence);
         if self.segmenter.begin_early(sweep, ready) {
-            self.segmenter.tell_around_cut(sweep, ready);
+            self.segmenter.emit_around_cut(sweep, ready);
             self.segment_strips(sweep);
         }
     }
@@ -107,7 +102,7 @@ impl TimedSegmenter {
             let joined_ns = (self.clock)();
             self.spent.ground_ns += without_ground_ns - begun_ns;
             self.spent.label_ns += joined_ns - without_ground_ns;
-            self.segmenter.tell(sweep);
+            self.segmenter.emit(sweep);
             begun_ns = joined_ns;
         }
     }

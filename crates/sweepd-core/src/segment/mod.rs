@@ -3,13 +3,13 @@
 //! The idea is Bogoslavskyi and Stachniss, "Fast Range Image-Based Segmentation of Sparse 3D Laser
 //! Scans for Online Operation" (IROS 2016): take the ground away, then join what is near in the
 //! range image by one angle test. There are two methods, and a [`Segmenter`] runs either in the
-//! same steps (`tell` only for the default method and with a listener):
+//! same steps (`emit` only for the default method, and where objects are to be found):
 //!
 //! ```text
 //! begin         what the sweep says of its beams, and how high the sensor is      mask, mount
 //! find_ground   the ground of the next strip of columns                           ranges, points, climb
 //! join          what is no ground there: runs of neighbours, then windows         vote, runs, windows, near, components
-//! tell          objects that are complete, to the listener                      objects, seam
+//! emit          objects that are complete                                       objects, seam
 //! label         components, small ones to others, labels and segments table       components, area, labels, extent
 //! ```
 //!
@@ -71,15 +71,15 @@ use strips::Strips;
 pub const SAME_OBJECT_M: f32 = 0.3;
 
 /// Labels sweeps, one after another; after the first in buffers of one size it allocates nothing,
-/// unless it has a listener.
+/// unless it finds objects.
 #[derive(Clone, Debug)]
 pub struct Segmenter {
     config: Config,
     level: Level,
-    /// Estimates the height of the sensor where none is configured. `None`: headers tell it.
+    /// Estimates the height of the sensor where none is configured. `None`: headers say it.
     height: Option<HeightEstimator>,
     strips: Strips,
-    /// What lies around the cut, if there is a listener.
+    /// What lies around the cut, if objects are to be found.
     seam: Option<Box<Seam>>,
     paper: PaperSegmenter,
     /// The sweep that was begun early, by its number.
@@ -284,28 +284,28 @@ impl Segmenter {
         }
     }
 
-    /// Listens for objects from the next sweep on, or no more (`None`).
-    pub fn listen(&mut self, objects: Option<Objects>) {
+    /// Finds objects from the next sweep on, or no more (`None`).
+    pub fn find_objects(&mut self, objects: Option<Objects>) {
         self.seam = objects
             .as_ref()
             .map(|objects| Box::new(Seam::new(self.level, objects.max_width_rad())));
         self.strips.objects = objects;
     }
 
-    /// The listener, if there is one.
+    /// The objects, if they are to be found.
     pub fn objects(&mut self) -> Option<&mut Objects> {
         self.strips.objects.as_mut()
     }
 
-    /// Tells the objects that became complete; after each [`Segmenter::join`] of a sweep that is
-    /// not complete. Without a listener it does nothing.
-    pub fn tell(&mut self, sweep: &SweepMut<'_>) {
-        self.strips.tell(sweep, &self.config);
+    /// Gives out the objects that became complete; after each [`Segmenter::join`] of a sweep that is
+    /// not complete.
+    pub fn emit(&mut self, sweep: &SweepMut<'_>) {
+        self.strips.emit(sweep, &self.config);
     }
 
-    /// Tells the objects around the cut that are complete by now, of a sweep that
-    /// [`Segmenter::begin_early`] has taken. Without a listener it does nothing.
-    pub fn tell_around_cut(&mut self, sweep: &SweepMut<'_>, ready: usize) {
+    /// Gives out the objects around the cut that are complete by now, of a sweep that
+    /// [`Segmenter::begin_early`] has taken.
+    pub fn emit_around_cut(&mut self, sweep: &SweepMut<'_>, ready: usize) {
         let height_m = self.strips.height_m();
         if let (Some(seam), Some(objects)) = (&mut self.seam, &mut self.strips.objects) {
             seam.follow(sweep, ready, &self.config, height_m, objects);

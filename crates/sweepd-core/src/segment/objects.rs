@@ -1,15 +1,15 @@
-//! Objects while the head turns: a component that no later strip can join is told (handed out) at
+//! Objects while the head turns: a component that no later strip can join is emitted at
 //! once, with the entry that it will have in the segments table.
 //!
 //! ```text
-//! follow   after each strip: which components go on, which have ended, which are told
-//! end      when the table is complete: tells the other segments, and the label of each object
+//! follow   after each strip: which components go on, which have ended, which are emitted
+//! end      when the table is complete: emits the other segments, and the label of each object
 //! ```
 //!
 //! A component has **ended** when its last column lies so far back that no window of a later strip
-//! reaches it. It is told when it is also certain which small components become part of it: those
+//! reaches it. It is emitted when it is also certain which small components become part of it: those
 //! near it have ended too, and so has every component that they may join instead. A component with
-//! a pixel in the first columns that are processed of a turn is told with the sweep; `seam` tells
+//! a pixel in the first columns that are processed of a turn is emitted with the sweep; `seam` emits
 //! the objects around the cut earlier.
 
 use std::cmp::Reverse;
@@ -25,10 +25,10 @@ use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_NONE, flags};
 use crate::sweep::objects::{Object, why};
 use crate::sweep::{Header, Segment, SweepRef};
 
-/// What is wider is told in parts, by default: 60 degrees, radians.
+/// What is wider is emitted in parts, by default: 60 degrees, radians.
 pub const MAX_WIDTH_RAD: f32 = std::f32::consts::FRAC_PI_3;
 
-/// Where objects around a cut are told, position by position: those with a pixel behind it, and one
+/// Where objects around a cut are emitted, position by position: those with a pixel behind it, and one
 /// before `until`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cut {
@@ -39,10 +39,10 @@ pub(super) struct Cut {
 /// Stands for no component.
 const NONE: u32 = u32::MAX;
 
-/// What is told of one sweep after another.
+/// What is emitted of one sweep after another.
 #[derive(Clone, Debug)]
 pub struct Objects {
-    /// What is wider is told in parts, radians.
+    /// What is wider is emitted in parts, radians.
     max_width_rad: f32,
     /// Whether these are the objects around a cut.
     cut: Option<Cut>,
@@ -53,10 +53,10 @@ pub struct Objects {
     is_followed: bool,
     /// Columns before the image's first, when it was begun.
     margin: u32,
-    told: Vec<Object>,
+    emitted: Vec<Object>,
     /// How many of them were handed out.
     handed: usize,
-    /// Of a complete sweep, the label of each told object.
+    /// Of a complete sweep, the label of each emitted object.
     labels: Option<Vec<u32>>,
     open: Vec<Open>,
     /// Index in `open` of the component of each root.
@@ -68,18 +68,18 @@ pub struct Objects {
     gifts: Vec<Gift>,
 }
 
-/// A component that may still be told.
+/// A component that may still be emitted.
 #[derive(Clone, Copy, Debug)]
 struct Open {
     root: u32,
     whole: Extent,
-    /// What was not told in parts.
+    /// What was not emitted in parts.
     part: Extent,
     sum: Sum,
-    /// Whether a part was told.
+    /// Whether a part was emitted.
     is_parted: bool,
     has_ended: bool,
-    /// Whether it has been told, or became part of another, or never will be.
+    /// Whether it has been emitted, or became part of another, or never will be.
     is_settled: bool,
     /// Of a small one: the nearest that is not small.
     nearest: Nearest,
@@ -173,7 +173,7 @@ impl Extent {
 }
 
 impl Objects {
-    /// Tells what is wider than this in parts, radians.
+    /// Emits what is wider than this in parts, radians.
     pub fn new(max_width_rad: f32) -> Self {
         Self {
             max_width_rad,
@@ -182,7 +182,7 @@ impl Objects {
             sequence: None,
             is_followed: false,
             margin: 0,
-            told: Vec::new(),
+            emitted: Vec::new(),
             handed: 0,
             labels: None,
             open: Vec::new(),
@@ -193,12 +193,12 @@ impl Objects {
         }
     }
 
-    /// Wider objects are told in parts, radians.
+    /// Wider objects are emitted in parts, radians.
     pub(super) fn max_width_rad(&self) -> f32 {
         self.max_width_rad
     }
 
-    /// Tells what lies around a cut.
+    /// Emits what lies around a cut.
     pub(super) fn around(cut: Cut, max_width_rad: f32) -> Self {
         Self {
             cut: Some(cut),
@@ -206,7 +206,7 @@ impl Objects {
         }
     }
 
-    /// The reason to tell an object of this extent, or `None` if it is not told here; `usual` where
+    /// The reason to emit an object of this extent, or `None` if it is not emitted here; `usual` where
     /// there is no cut.
     fn reason(&self, extent: &Extent, usual: u32) -> Option<u32> {
         match self.cut {
@@ -224,12 +224,12 @@ impl Objects {
     }
 
     /// Begins to follow the strips of a sweep. A second call for the same sweep means that it has
-    /// changed: objects told before stay, the others are told when it is complete.
+    /// changed: objects emitted before stay, the others are emitted when it is complete.
     pub(super) fn begin(&mut self, header: &Header, is_early: bool) {
         let sequence = header.sequence;
         let is_again = self.sequence == Some(sequence) && self.labels.is_none();
         if !is_again {
-            self.told.clear();
+            self.emitted.clear();
             self.handed = 0;
             self.margin = header.margin_columns;
         }
@@ -243,12 +243,12 @@ impl Objects {
         self.gifts.clear();
     }
 
-    /// The objects told since the last call, and the ordinal of the first of them; when the sweep
+    /// The objects emitted since the last call, and the ordinal of the first of them; when the sweep
     /// is complete also the label of each of its objects, 0 where a late packet has changed the
     /// object, so that the table has no such segment.
     pub fn take(&mut self) -> (usize, &[Object], Option<&[u32]>) {
-        let from = std::mem::replace(&mut self.handed, self.told.len());
-        (from, &self.told[from..], self.labels.as_deref())
+        let from = std::mem::replace(&mut self.handed, self.emitted.len());
+        (from, &self.emitted[from..], self.labels.as_deref())
     }
 
     /// Takes the strip at a position, the columns of it that count, and what its runs measure.
@@ -302,7 +302,7 @@ impl Objects {
             let open = self.open[index];
             let is_small = components.is_small(open.root);
             // A small one that nothing takes is an object by itself, if it has enough points. One
-            // that was given away is told as part of the other.
+            // that was given away is emitted as part of the other.
             let is_known = if is_small {
                 open.is_settled && open.nearest.root == NONE
             } else {
@@ -314,7 +314,7 @@ impl Objects {
             self.open[index].is_settled = true;
             let (sum, whole) = self.with_gifts(simd, &open, components);
             // The first and last column of a wide object are certain only at the end of the turn:
-            // the whole is told with the sweep.
+            // the whole is emitted with the sweep.
             if !open.is_parted
                 && sum.points >= min_points.max(1)
                 && let Some(reason) = self.reason(&whole, why::COMPLETE)
@@ -325,10 +325,10 @@ impl Objects {
         self.forget_settled();
     }
 
-    /// Tells an object.
+    /// Emits an object.
     pub(super) fn push(&mut self, mut object: Object) {
-        object.ordinal = self.told.len() as u32;
-        self.told.push(object);
+        object.ordinal = self.emitted.len() as u32;
+        self.emitted.push(object);
     }
 
     /// Learns which components are one by now.
@@ -562,7 +562,7 @@ impl Objects {
         self.open.truncate(kept);
     }
 
-    /// Tells the segments of a complete sweep that were not told, and which label each object has.
+    /// Emits the segments of a complete sweep that were not emitted, and which label each object has.
     pub(super) fn end(&mut self, sweep: &SweepRef<'_>, has_height: bool) {
         if self.sequence != Some(sweep.header.sequence) || self.labels.is_some() {
             self.begin(sweep.header, false);
@@ -570,12 +570,12 @@ impl Objects {
         self.is_followed = false;
         let mut labels = self.labels.take().unwrap_or_default();
         labels.clear();
-        // Without a height nothing is ground, so that a segment may be the floor: none is told.
-        let mut is_told = vec![!has_height; sweep.segments.len()];
+        // Without a height nothing is ground, so that a segment may be the floor: none is emitted.
+        let mut is_emitted = vec![!has_height; sweep.segments.len()];
         // An image that did not become a turn is widened at its beginning, so that its pixels have
-        // other numbers than when objects were told.
+        // other numbers than when objects were emitted.
         let moved = i64::from(self.margin) - i64::from(sweep.header.margin_columns);
-        for object in &self.told {
+        for object in &self.emitted {
             let pixel = i64::from(object.first_pixel) + moved * sweep.rows() as i64;
             let label = usize::try_from(pixel)
                 .ok()
@@ -588,21 +588,21 @@ impl Objects {
             });
             labels.push(if is_it { label } else { LABEL_NONE });
             if is_it && object.is_segment() {
-                is_told[index] = true;
+                is_emitted[index] = true;
             }
         }
-        self.tell_rest(sweep, &is_told, &mut labels);
+        self.emit_rest(sweep, &is_emitted, &mut labels);
         self.labels = Some(labels);
     }
 
-    /// Tells what was not told, by the pixels of the label image.
-    fn tell_rest(&mut self, sweep: &SweepRef<'_>, is_told: &[bool], labels: &mut Vec<u32>) {
+    /// Emits what was not emitted, by the pixels of the label image.
+    fn emit_rest(&mut self, sweep: &SweepRef<'_>, is_emitted: &[bool], labels: &mut Vec<u32>) {
         // Of each segment its place among these, and the times of its first and last shot, with
         // the pixels.
-        let mut rest = vec![None; is_told.len()];
+        let mut rest = vec![None; is_emitted.len()];
         for (pixel, &label) in sweep.label.iter().enumerate() {
             let index = label.wrapping_sub(LABEL_FIRST_SEGMENT) as usize;
-            if is_told.get(index) != Some(&false) {
+            if is_emitted.get(index) != Some(&false) {
                 continue;
             }
             let row = pixel % sweep.rows();
@@ -690,17 +690,18 @@ fn nanoseconds(after: u32) -> i32 {
     i32::try_from(after).unwrap_or(i32::MAX)
 }
 
-/// Whether a segment that was told is the one in the table. A sweep that did not become a whole
+/// Whether a segment that was emitted is the one in the table. A sweep that did not become a whole
 /// turn is segmented again from its first column on: there the same points may be added in another
 /// order.
-fn is_same(told: &Segment, found: &Segment, sweep: &SweepRef<'_>, moved: i64) -> bool {
-    let mut told = *told;
-    told.label = found.label;
+fn is_same(emitted: &Segment, found: &Segment, sweep: &SweepRef<'_>, moved: i64) -> bool {
+    let mut emitted = *emitted;
+    emitted.label = found.label;
     if sweep.header.has(flags::CIRCULAR) {
-        return told == *found;
+        return emitted == *found;
     }
-    let rows = [told.row_first, told.row_last] == [found.row_first, found.row_last];
-    let columns = [told.column_first, told.column_last].map(|column| i64::from(column) + moved);
+    let rows = [emitted.row_first, emitted.row_last] == [found.row_first, found.row_last];
+    let columns =
+        [emitted.column_first, emitted.column_last].map(|column| i64::from(column) + moved);
     let expected = [found.column_first, found.column_last].map(i64::from);
-    told.points == found.points && rows && columns == expected
+    emitted.points == found.points && rows && columns == expected
 }

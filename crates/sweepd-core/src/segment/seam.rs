@@ -1,11 +1,11 @@
 //! Around the cut: the end of a turn and the beginning of the next as one image, so that objects
-//! there are told as soon as the head has passed them.
+//! there are emitted as soon as the head has passed them.
 //!
 //! ```text
 //! image   | the last columns of the turn before (tail) | the first of this turn, as they come |
 //!                                                     cut
 //! keep    of a complete turn its tail
-//! follow  the columns of the next turn that are final: strips are joined, what has ended is told
+//! follow  the columns of the next turn that are final: strips are joined, what has ended is emitted
 //! ```
 //!
 //! The strips of the turn itself begin behind its first columns, and see these when it is complete,
@@ -48,7 +48,7 @@ pub(super) struct Seam {
 }
 
 impl Seam {
-    /// Wider objects are told in parts, radians.
+    /// Wider objects are emitted in parts, radians.
     pub fn new(level: Level, max_width_rad: f32) -> Self {
         Self {
             strips: Strips::new(level),
@@ -126,15 +126,15 @@ impl Seam {
         self.turn = None;
     }
 
-    /// Takes the columns of the open sweep of which the first `ready` are final, and tells the
-    /// listener what has ended.
+    /// Takes the columns of the open sweep of which the first `ready` are final, and adds to the
+    /// objects what has ended.
     pub fn follow(
         &mut self,
         sweep: &SweepMut<'_>,
         ready: usize,
         config: &Config,
         height_m: Option<f32>,
-        listener: &mut Objects,
+        objects: &mut Objects,
     ) {
         let Some((before, time_ns)) = self.turn else {
             return;
@@ -148,7 +148,7 @@ impl Seam {
         if !is_next {
             self.turn = None;
         } else if ready > trail {
-            self.follow_next(sweep, ready, time_ns, config, height_m, listener);
+            self.follow_next(sweep, ready, time_ns, config, height_m, objects);
         }
     }
 
@@ -159,7 +159,7 @@ impl Seam {
         time_ns: i64,
         config: &Config,
         height_m: Option<f32>,
-        listener: &mut Objects,
+        objects: &mut Objects,
     ) {
         // Taken out, so that it can be lent beside what follows it.
         let mut bytes = std::mem::take(&mut self.image);
@@ -169,10 +169,10 @@ impl Seam {
         let turn_ns = sweep.header.sensor_time_ns.saturating_sub(time_ns);
         self.copy_new(&mut image, sweep, ready, turn_ns);
         self.join(&mut image, sweep.header.sequence, config, height_m);
-        self.hand_on(listener);
+        self.hand_on(objects);
         let is_full = self.final_columns + self.lead >= self.room;
-        let objects = self.strips.objects.as_ref();
-        if is_full || objects.is_none_or(Objects::is_past_cut) {
+        let around_cut = self.strips.objects.as_ref();
+        if is_full || around_cut.is_none_or(Objects::is_past_cut) {
             self.turn = None;
         }
         self.image = bytes;
@@ -248,18 +248,18 @@ impl Seam {
         }
         while self.strips.find_ground(image, config) {
             self.strips.join();
-            self.strips.tell(image, config);
+            self.strips.emit(image, config);
         }
     }
 
-    /// Hands on what was told, as of this turn.
-    fn hand_on(&mut self, listener: &mut Objects) {
-        let Some(objects) = &mut self.strips.objects else {
+    /// Hands on what is new, as of this turn.
+    fn hand_on(&mut self, objects: &mut Objects) {
+        let Some(around_cut) = &mut self.strips.objects else {
             return;
         };
         let (tail, columns) = (self.tail as i64, self.columns as i64);
-        for told in objects.take().1 {
-            let mut object: Object = *told;
+        for found in around_cut.take().1 {
+            let mut object: Object = *found;
             let Segment {
                 column_first,
                 column_last,
@@ -272,7 +272,7 @@ impl Seam {
             for time_ns in [&mut object.first_ns, &mut object.last_ns] {
                 *time_ns -= BEFORE_NS as i32;
             }
-            listener.push(object);
+            objects.push(object);
         }
     }
 }

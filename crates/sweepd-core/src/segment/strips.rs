@@ -56,7 +56,7 @@ pub(super) struct Strips {
     /// Pieces of the first columns, row by row: what they hold for the second time is the same.
     first: Vec<[u32; BEFORE]>,
     labels: Labels,
-    /// The listener, if there is one.
+    /// The objects, if they are to be found.
     pub objects: Option<Objects>,
 }
 
@@ -194,8 +194,8 @@ impl Strips {
         dispatch!(self.level, simd => self.meet(simd));
     }
 
-    /// Tells the listener the objects that are complete since the strip that was joined.
-    pub fn tell(&mut self, sweep: &SweepMut<'_>, config: &Config) {
+    /// Gives out the objects that are complete since the strip that was joined.
+    pub fn emit(&mut self, sweep: &SweepMut<'_>, config: &Config) {
         if self.ready.is_some() && self.objects.is_some() {
             let sweep = sweep.as_ref();
             dispatch!(self.level, simd => self.tell_with(simd, &sweep, config));

@@ -3,9 +3,8 @@
 
 use std::collections::BTreeSet;
 
-use sweepd_core::buffers::HeapBuffer;
-use sweepd_core::buffers::{HeapBuffers, Memory};
-use sweepd_core::pipeline::{Config, Counts, Fault, Pipeline};
+use sweepd_core::buffers::{Buffers, HeapBuffer, HeapBuffers, Memory};
+use sweepd_core::pipeline::{Arrival, Config, Counts, Event, Pipeline};
 use sweepd_core::sensor::model::Stamp;
 use sweepd_core::sensor::{Beam, Calibration, Model, ModelExt};
 use sweepd_core::sweep::SweepRef;
@@ -159,18 +158,30 @@ fn record(rng: &mut fastrand::Rng) -> Record {
     }
 }
 
-/// Pushes a datagram of the sensor; one that is no packet is refused.
-///
-/// # Errors
-/// As [`Pipeline::push`].
-pub fn push(pipeline: &mut Pipeline, datagram: &Datagram<'_>) -> Result<(), Fault> {
+/// Pushes a datagram of the sensor; one that is no packet is malformed.
+pub fn push(pipeline: &mut Pipeline, datagram: &Datagram<'_>) {
     match datagram.parse() {
         Ok(packet) => pipeline.push(&packet),
-        Err(_) => {
-            pipeline.refuse();
-            Ok(())
+        Err(_) => pipeline.push(Arrival::Malformed),
+    }
+}
+
+/// The next sweep; passes over what else happened.
+///
+/// # Panics
+/// At a fault: tests that expect one poll the pipeline themselves.
+pub fn next_sweep<B: Buffers>(
+    pipeline: &mut Pipeline,
+    memory: &mut Memory<B>,
+) -> Option<B::Buffer> {
+    while let Some(event) = pipeline.poll(memory) {
+        match event {
+            Event::Sweep(sweep) => return Some(sweep),
+            Event::Fault(fault) => panic!("{fault}"),
+            Event::Objects(_) | Event::Notice(_) => {}
         }
     }
+    None
 }
 
 /// What became of a stream.
@@ -246,23 +257,23 @@ impl Run {
         let mut memory = Memory::new(HeapBuffers::default());
         let (mut sweeps, mut out_after) = (Vec::new(), Vec::new());
         for (index, (payload, arrival_ns)) in arrived.iter().enumerate() {
-            let _ = push(&mut pipeline, &datagram(payload, *arrival_ns));
-            while let Some(sweep) = pipeline.poll(&mut memory) {
-                sweeps.push(sweep);
-                out_after.push(index + 1);
-            }
+            push(&mut pipeline, &datagram(payload, *arrival_ns));
             if index % 3 == 0 {
-                pipeline.segment_early(&mut memory);
+                pipeline.idle(None);
             }
+            while let Some(event) = pipeline.poll(&mut memory) {
+                sweeps.extend(event.sweep());
+            }
+            out_after.resize(sweeps.len(), index + 1);
         }
-        let _ = pipeline.end();
-        while let Some(sweep) = pipeline.poll(&mut memory) {
-            sweeps.push(sweep);
-            out_after.push(arrived.len());
+        pipeline.end();
+        while let Some(event) = pipeline.poll(&mut memory) {
+            sweeps.extend(event.sweep());
         }
+        out_after.resize(sweeps.len(), arrived.len());
         Self {
             sweeps,
-            counts: pipeline.counts(),
+            counts: pipeline.status().counts,
             out_after,
         }
     }

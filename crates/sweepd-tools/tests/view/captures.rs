@@ -2,6 +2,7 @@
 
 use std::path::Path;
 use std::time::{Duration, Instant};
+use sweepd_lab::testkit::stream::next_sweep;
 
 use serde_json::json;
 use sweepd::buffers::{HeapBuffers, Memory};
@@ -39,12 +40,14 @@ pub fn sweeps(path: &str, config: &Config) -> Vec<Buffer> {
         };
         let pipeline =
             pipeline.get_or_insert_with(|| Pipeline::new(&sender.name, config.clone()).unwrap());
-        pipeline.push(&packet).unwrap();
-        all.extend(std::iter::from_fn(|| pipeline.poll(&mut memory)));
+        pipeline.push(&packet);
+        all.extend(std::iter::from_fn(|| next_sweep(pipeline, &mut memory)));
     }
     let mut pipeline = pipeline.unwrap();
-    pipeline.end().unwrap();
-    all.extend(std::iter::from_fn(|| pipeline.poll(&mut memory)));
+    pipeline.end();
+    all.extend(std::iter::from_fn(|| {
+        next_sweep(&mut pipeline, &mut memory)
+    }));
     all.retain(|buffer| {
         !SweepRef::open(buffer.as_ref())
             .unwrap()

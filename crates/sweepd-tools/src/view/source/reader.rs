@@ -14,7 +14,7 @@ use sweepd::streams::{SteadyTime, Stream, Streams};
 use sweepd_client::host::monotonic_ns;
 use sweepd_core::buffers::HeapBuffer;
 use sweepd_core::buffers::{HeapBuffers, Memory};
-use sweepd_core::pipeline::{Config, Fault, Pipeline, TimedSegmenter};
+use sweepd_core::pipeline::{Arrival, Config, Event, Options, Pipeline, TimedSegmenter};
 use sweepd_core::segment::{ConfigError, Segmenter};
 use sweepd_core::sweep::layout::flags;
 use sweepd_core::sweep::{SweepMut, SweepRef};
@@ -148,19 +148,18 @@ fn take(streams: &mut Streams<Track>, config: &Config, placed: &Placed<'_>) -> S
 
 impl Track {
     fn new(sensor: usize, name: &str, config: &Config) -> Result<Self, ConfigError> {
+        let options = Options {
+            clock: monotonic_ns,
+            labels_elsewhere: true,
+            ..Options::default()
+        };
         Ok(Self {
             sensor,
-            pipeline: Pipeline::new(name, config.clone())?.timed_by(monotonic_ns),
+            pipeline: Pipeline::with_options(name, config.clone(), options)?,
             memory: Memory::default(),
             sweeps: 0,
             fault: None,
         })
-    }
-
-    fn note(&mut self, taken: Result<(), Fault>) {
-        if let Err(fault) = taken {
-            self.fault = Some(explain(&fault, Dialect::CommandLine));
-        }
     }
 }
 
@@ -168,28 +167,31 @@ impl Stream for Track {
     type Sweep = Decoded;
 
     fn take(&mut self, packet: Option<&Packet<'_>>, _: &Placed<'_>) {
-        let Some(packet) = packet else {
-            return self.pipeline.refuse();
-        };
-        let taken = self.pipeline.push(packet);
-        self.note(taken);
-        // They must not pile up.
-        self.pipeline.take_notices();
+        match packet {
+            Some(packet) => self.pipeline.push(packet),
+            None => self.pipeline.push(Arrival::Malformed),
+        }
     }
 
-    fn tick(&mut self, time: SteadyTime) -> bool {
-        self.pipeline.tick(time.now_ns)
+    fn idle(&mut self, time: SteadyTime) {
+        self.pipeline.idle(Some(time.now_ns));
     }
 
     fn end(&mut self) {
-        let ended = self.pipeline.end();
-        self.note(ended);
+        self.pipeline.end();
     }
 
     /// Partial sweeps have no number, as in a replay.
     fn next_sweep(&mut self) -> Option<Decoded> {
         loop {
-            let buffer = self.pipeline.poll_unlabelled(&mut self.memory)?;
+            let buffer = match self.pipeline.poll(&mut self.memory)? {
+                Event::Sweep(buffer) => buffer,
+                Event::Fault(fault) => {
+                    self.fault = Some(explain(&fault, Dialect::CommandLine));
+                    continue;
+                }
+                Event::Objects(_) | Event::Notice(_) => continue,
+            };
             let is_partial = SweepRef::open(buffer.as_ref())
                 .map_or(true, |sweep| sweep.header.has(flags::PARTIAL));
             if !is_partial {
