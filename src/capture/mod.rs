@@ -32,7 +32,6 @@ use input::{Input, Opened};
 pub use link::{Decapsulator, LinkType, NoDatagram};
 pub use pace::{Pacer, Speed};
 pub use pcap::CaptureReader;
-pub use record::{RecordError, Recorder};
 use sweepd_core::wire::{DATA_PORT, Datagram};
 pub use udp::{UdpConfig, UdpError, UdpSource};
 pub use write::PcapWriter;

@@ -5,12 +5,11 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use crate::capture::{CaptureError, RecordError, UdpError};
+use crate::capture::{CaptureError, UdpError};
 use crate::daemon::DaemonError;
 use crate::daemon::config::ConfigError;
 use crate::daemon::record::client::RemoteRecordError;
-use crate::export::WriteError;
-use crate::files::CalibrationFileError;
+use crate::files::{CalibrationFileError, WriteError};
 use crate::publish::PublishError;
 use sweepd_client::client::ClientError;
 
@@ -29,7 +28,7 @@ pub enum CliError {
     Config(#[from] ConfigError),
     /// An output cannot be written.
     #[error(transparent)]
-    Write(#[from] WriteError),
+    Write(#[from] Arc<WriteError>),
     /// A file cannot be read.
     #[error("cannot read {}: {source}", path.display())]
     Read {
@@ -38,9 +37,6 @@ pub enum CliError {
         /// What the system says.
         source: io::Error,
     },
-    /// A recording cannot be written.
-    #[error(transparent)]
-    Record(#[from] Arc<RecordError>),
     /// Sweeps cannot be shared.
     #[error(transparent)]
     Publish(#[from] PublishError),
@@ -86,9 +82,9 @@ pub enum CliError {
     Reported,
 }
 
-impl From<RecordError> for CliError {
-    fn from(error: RecordError) -> Self {
-        Self::Record(Arc::new(error))
+impl From<WriteError> for CliError {
+    fn from(error: WriteError) -> Self {
+        Self::Write(Arc::new(error))
     }
 }
 

@@ -28,7 +28,8 @@ use clap::ValueEnum;
 use crate::files::output::NewFile;
 use sweepd_core::sweep::SweepRef;
 
-pub use crate::files::output::{Existing, WriteError};
+pub use crate::files::WriteError;
+pub use crate::files::output::Existing;
 pub use csv::write_csv;
 pub use pcd::write_pcd;
 pub use png::{Title, write_png};

@@ -1,14 +1,17 @@
-//! Reads files with a limit of length, and writes them by [`output`]; [`parts`] are recordings under
-//! way. The core takes bytes.
+//! Reads files with a limit of length, and writes them: one by [`output`], a recording by [`sequence`];
+//! [`parts`] are files under way. The core takes bytes.
 
+mod error;
 mod mask;
 pub mod output;
 pub mod parts;
+pub mod sequence;
 
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
+pub use error::WriteError;
 pub use mask::{MaskFileError, decode_mask, mask};
 
 use sweepd_core::sensor::read::MAX_FILE_LEN;

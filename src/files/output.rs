@@ -4,9 +4,11 @@
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::net::IpAddr;
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
-use super::parts::{self, rename_to_free};
+use super::WriteError;
+use super::parts::{self, is_being_written, is_named, rename_to_free};
 use crate::text::count_of;
 
 /// What to do with existing files of the same name.
@@ -19,93 +21,20 @@ pub enum Existing {
     Replace,
 }
 
-/// Why an output cannot be written.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum WriteError {
-    /// The directory does not exist and cannot be made.
-    #[error("cannot create the directory {}: {cause}", path.display())]
-    Directory {
-        /// The directory.
-        path: PathBuf,
-        /// The error of the system. Part of the message, so not a `source`, which a report would
-        /// print again.
-        cause: io::Error,
-    },
-    /// The file cannot be written.
-    #[error("cannot write {}: {cause}", path.display())]
-    File {
-        /// The file, under its final name.
-        path: PathBuf,
-        /// What the system says.
-        cause: io::Error,
-    },
-    /// The file exists.
-    #[error("{} exists; --force replaces it", path.display())]
-    Exists {
-        /// The file.
-        path: PathBuf,
-    },
-    /// Another process writes the file.
-    #[error("another process writes {}; end that one first, or choose another name", path.display())]
-    Busy {
-        /// The file.
-        path: PathBuf,
-    },
-    /// The name says another format.
-    #[error("{}: expected a name that ends in {ending}", path.display())]
-    Name {
-        /// The file.
-        path: PathBuf,
-        /// The ending of its format.
-        ending: &'static str,
-    },
-    /// The file cannot be written to its end, but what there is of it stays.
-    #[error("cannot write {}: {cause}; what was recorded stays there, and the next `sweepd record` to this name \
-        mends it", part.display())]
-    Unfinished {
-        /// The part.
-        part: PathBuf,
-        /// What the system says.
-        cause: io::Error,
-    },
-    /// The directory holds files of a former run.
-    #[error("{} holds {held} of a former run ({}{}); --force replaces {}, or name another folder",
-        dir.display(), first.display(), if *several { ", ..." } else { "" }, if *several { "them" } else { "it" })]
-    Former {
-        /// The directory.
-        dir: PathBuf,
-        /// How many of what: `6 sweeps`.
-        held: String,
-        /// The first of them, from the directory.
-        first: PathBuf,
-        /// Whether there are more.
-        several: bool,
-    },
-}
-
-impl WriteError {
-    /// What the system says of a file.
-    pub fn file(path: &Path, cause: io::Error) -> Self {
-        Self::File {
-            path: path.to_owned(),
-            cause,
-        }
-    }
-}
-
-/// A file that is being written as `NAME.part`, see [`parts`]. [`NewFile::commit`] renames it; without
-/// that, the part is removed and an existing file stays unchanged. A pipe or a device is written
-/// directly.
+/// A file that is being written as `NAME.part`, see [`parts`], and locked. [`NewFile::commit`] renames
+/// it; without that, the part is removed and an existing file stays unchanged. A pipe or a device is
+/// written directly.
 #[derive(Debug)]
 #[must_use = "without a commit the file is removed"]
 pub struct NewFile {
     path: PathBuf,
-    /// `None` if it is written directly, or already renamed.
-    part: Option<PathBuf>,
+    /// Where it is written: the part, or its name.
+    place: PathBuf,
+    /// The same file: keeps the lock until it has its name.
+    file: File,
     existing: Existing,
-    /// Whether the part stays without a commit.
-    keeps_part: bool,
+    /// Whether it stays without a commit.
+    is_kept: bool,
 }
 
 impl NewFile {
@@ -115,77 +44,140 @@ impl NewFile {
     /// [`WriteError`]: it exists and must not be replaced, or cannot be made.
     pub fn create(path: &Path, existing: Existing) -> Result<(File, Self), WriteError> {
         check(path, existing)?;
-        let failed = |cause: io::Error| match cause.kind() {
-            io::ErrorKind::ResourceBusy => WriteError::Busy {
-                path: path.to_owned(),
-            },
-            _ => WriteError::file(path, cause),
+        let opened = if is_special(path) {
+            let opened = File::options().append(true).open(path);
+            opened.map(|file| (path.to_owned(), file))
+        } else {
+            drop(unwritten(path)?);
+            parts::create(path)
         };
-        let mut new = Self {
-            path: path.to_owned(),
-            part: None,
-            existing,
-            keeps_part: false,
-        };
+        Self::over(path, opened, existing)
+    }
+
+    /// Opens a file that has its name from the beginning, and replaces none.
+    ///
+    /// # Errors
+    /// [`WriteError`]: it exists, or cannot be made.
+    pub fn create_named(path: &Path) -> Result<(File, Self), WriteError> {
         if is_special(path) {
-            let file = File::options().append(true).open(path).map_err(failed)?;
-            return Ok((file, new));
+            return Self::create(path, Existing::Keep);
         }
-        if path.is_dir() {
-            return Err(failed(io::ErrorKind::IsADirectory.into()));
-        }
-        let (part, file) = parts::create(path).map_err(failed)?;
-        new.part = Some(part);
+        check(path, Existing::Keep)?;
+        let opened = match File::create_new(path) {
+            Ok(file) if is_being_written(&file) => Err(io::ErrorKind::ResourceBusy.into()),
+            opened => opened.map(|file| (path.to_owned(), file)),
+        };
+        Self::over(path, opened, Existing::Keep)
+    }
+
+    fn over(
+        path: &Path,
+        opened: io::Result<(PathBuf, File)>,
+        existing: Existing,
+    ) -> Result<(File, Self), WriteError> {
+        let opened = opened.and_then(|(place, file)| Ok((place, file.try_clone()?, file)));
+        let (place, copy, file) = opened.map_err(|cause| WriteError::file(path, cause))?;
+        let new = Self {
+            path: path.to_owned(),
+            place,
+            file: copy,
+            existing,
+            is_kept: false,
+        };
         Ok((file, new))
+    }
+
+    /// Its name in the end.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Where it is written.
+    pub fn place(&self) -> &Path {
+        &self.place
+    }
+
+    /// Syncs what was written to the disk. A pipe or a device has nothing to sync (fsync(2), EINVAL).
+    ///
+    /// # Errors
+    /// What the disk says.
+    pub fn sync(&self) -> io::Result<()> {
+        match self.file.sync_data() {
+            Err(error) if error.kind() == io::ErrorKind::InvalidInput => Ok(()),
+            other => other,
+        }
     }
 
     /// Renames the file; all data must have been written.
     ///
     /// # Errors
-    /// [`WriteError`]: another process has made a file of this name since, or an error of the
-    /// system.
+    /// [`WriteError`]: another process has made or begun a file of this name since, or has taken this
+    /// one away; or an error of the system.
     pub fn commit(mut self) -> Result<(), WriteError> {
-        let Some(part) = &self.part else {
-            return Ok(());
-        };
-        let renamed = match self.existing {
-            Existing::Keep => rename_to_free(part, &self.path),
-            Existing::Replace => fs::rename(part, &self.path),
-        };
-        renamed.map_err(|cause| match cause.kind() {
-            io::ErrorKind::AlreadyExists => WriteError::Exists {
-                path: self.path.clone(),
-            },
-            _ => self.failed(cause),
-        })?;
-        self.part = None;
+        if self.place != self.path {
+            if !is_named(&self.file, &self.place) {
+                return Err(WriteError::Lost {
+                    path: self.place.clone(),
+                });
+            }
+            let renamed = match self.existing {
+                Existing::Keep => rename_to_free(&self.place, &self.path),
+                Existing::Replace => {
+                    let _replaced = unwritten(&self.path)?;
+                    fs::rename(&self.place, &self.path)
+                }
+            };
+            renamed.map_err(|cause| self.failed(cause))?;
+        }
+        self.is_kept = true;
+        // Whoever still has it open writes it no more.
+        let _ = self.file.unlock();
         Ok(())
     }
 
-    /// From now on the part stays without a commit, as what there is of the file.
-    pub fn keep_part(&mut self) {
-        self.keeps_part = true;
+    /// From now on it stays without a commit, as what there is of the file.
+    pub fn keep(&mut self) {
+        self.is_kept = true;
+    }
+
+    /// Removes it.
+    pub fn discard(mut self) {
+        self.is_kept = false;
     }
 
     /// The error of a write to it.
     pub fn failed(&self, cause: io::Error) -> WriteError {
-        match &self.part {
-            Some(part) if self.keeps_part => WriteError::Unfinished {
-                part: part.clone(),
-                cause,
-            },
-            _ => WriteError::file(&self.path, cause),
-        }
+        WriteError::file(&self.path, cause)
     }
 }
 
 impl Drop for NewFile {
     fn drop(&mut self) {
-        if let Some(part) = self.part.as_ref().filter(|_| !self.keeps_part) {
+        // A pipe or a device stays, and what another program has put here.
+        let is_file = self.file.metadata().is_ok_and(|found| found.is_file());
+        if !self.is_kept && is_file && is_named(&self.file, &self.place) {
             // The first error is the one to report.
-            let _ = fs::remove_file(part);
+            let _ = fs::remove_file(&self.place);
         }
     }
+}
+
+/// The file of this name, if there is one, locked; no other process writes it.
+///
+/// # Errors
+/// [`WriteError::Busy`], if one does.
+fn unwritten(path: &Path) -> Result<Option<File>, WriteError> {
+    // A link is replaced, not followed; opening a pipe does not block.
+    let flags = libc::O_NOFOLLOW | libc::O_NONBLOCK;
+    let opened = File::options().write(true).custom_flags(flags).open(path);
+    // A file that does not exist, or that may be removed but not opened, is assumed to be in no
+    // process' use.
+    let Ok(file) = opened else { return Ok(None) };
+    // The locked file may have been replaced since it was opened.
+    if is_being_written(&file) || !is_named(&file, path) {
+        return Err(WriteError::file(path, io::ErrorKind::ResourceBusy.into()));
+    }
+    Ok(Some(file))
 }
 
 /// Writes a whole file.
@@ -202,18 +194,34 @@ pub fn write(path: &Path, bytes: &[u8], existing: Existing) -> Result<(), WriteE
 /// Checks whether a file of this name may be written, before the work is done.
 ///
 /// # Errors
-/// [`WriteError::Exists`].
+/// [`WriteError::Exists`], [`WriteError::Folder`].
 pub fn check(path: &Path, existing: Existing) -> Result<(), WriteError> {
-    if existing == Existing::Replace
-        || path.is_dir()
-        || is_special(path)
-        || path.symlink_metadata().is_err()
-    {
+    if is_special(path) || path.symlink_metadata().is_err() {
         return Ok(());
     }
-    Err(WriteError::Exists {
-        path: path.to_owned(),
-    })
+    if path.is_dir() {
+        return Err(WriteError::file(path, io::ErrorKind::IsADirectory.into()));
+    }
+    match existing {
+        Existing::Replace => Ok(()),
+        Existing::Keep => Err(WriteError::file(path, io::ErrorKind::AlreadyExists.into())),
+    }
+}
+
+/// Opens a pipe or a device without waiting: to open a pipe that no program reads would take until
+/// one does. A file is not opened.
+///
+/// # Errors
+/// [`WriteError::Recording`]; [`WriteError::is_unread_pipe`] if no program reads the pipe.
+pub fn open_special(path: &Path) -> Result<Option<File>, WriteError> {
+    if !is_special(path) {
+        return Ok(None);
+    }
+    let mut options = File::options();
+    options.write(true).custom_flags(libc::O_NONBLOCK);
+    let opened = options.open(path);
+    let opened = opened.map_err(|cause| WriteError::file(path, cause).of_recording(path, false))?;
+    Ok(Some(opened))
 }
 
 /// Whether this names a pipe, a device, or one of the streams of this process, which cannot be
@@ -237,13 +245,6 @@ pub fn part_of(path: &Path) -> PathBuf {
     let mut part = path.as_os_str().to_owned();
     part.push(".part");
     part.into()
-}
-
-/// `drive-007.pcap.gz` for `drive.pcap.gz` and its ending.
-pub fn numbered(path: &Path, ending: &str, number: u64) -> PathBuf {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let stem = name.strip_suffix(ending).unwrap_or(&name);
-    path.with_file_name(format!("{stem}-{number:03}{ending}"))
 }
 
 /// Removes a file, if it is there.
@@ -401,18 +402,6 @@ mod tests {
     }
 
     #[test]
-    fn names_are_numbered_before_their_ending() {
-        let numbered = |path: &str, ending, number| numbered(path.as_ref(), ending, number);
-        for (path, ending, number, expected) in [
-            ("a/drive.pcap", ".pcap", 0, "a/drive-000.pcap"),
-            ("drive.x.pcap.gz", ".pcap.gz", 12, "drive.x-012.pcap.gz"),
-            ("/drive.mcap", ".mcap", 1234, "/drive-1234.mcap"),
-        ] {
-            assert_eq!(numbered(path, ending, number), Path::new(expected));
-        }
-    }
-
-    #[test]
     fn a_file_that_another_process_makes_at_the_same_time_is_kept() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.pcap");
@@ -422,6 +411,41 @@ mod tests {
         assert_eq!(
             (names(&folder), fs::read(&path).unwrap()),
             (vec!["a.pcap".to_owned()], b"theirs".to_vec())
+        );
+    }
+
+    #[test]
+    fn a_folder_in_place_of_a_file_is_one_clear_error() {
+        let folder = tempfile::tempdir().unwrap();
+        let expected = format!(
+            "{} is a folder; choose another name",
+            folder.path().display()
+        );
+        for existing in [Existing::Keep, Existing::Replace] {
+            for refused in [
+                check(folder.path(), existing),
+                write(folder.path(), b"x", existing),
+            ] {
+                assert_eq!(refused.unwrap_err().to_string(), expected);
+            }
+        }
+        assert!(names(&folder).is_empty());
+    }
+
+    #[test]
+    fn what_another_process_put_in_place_of_a_part_is_not_taken() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, part) = (
+            folder.path().join("a.csv"),
+            folder.path().join("a.csv.part"),
+        );
+        let (_file, new) = NewFile::create(&path, Existing::Keep).unwrap();
+        fs::remove_file(&part).unwrap();
+        fs::write(&part, "theirs").unwrap();
+        assert!(matches!(new.commit(), Err(WriteError::Lost { .. })));
+        assert_eq!(
+            (names(&folder), fs::read(&part).unwrap()),
+            (vec!["a.csv.part".to_owned()], b"theirs".to_vec())
         );
     }
 

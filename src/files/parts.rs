@@ -7,6 +7,7 @@ use std::io;
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
+use super::WriteError;
 use super::output::part_of;
 use crate::text::count_of;
 
@@ -84,10 +85,6 @@ impl std::fmt::Display for Recovery {
     }
 }
 
-/// Another process writes this part.
-#[derive(Debug)]
-pub struct Busy(pub PathBuf);
-
 /// Makes the part of a file, under the first of its names that is free, and locks it.
 ///
 /// # Errors
@@ -119,17 +116,17 @@ pub fn create(path: &Path) -> io::Result<(PathBuf, File)> {
 /// of it. Empty ones are removed.
 ///
 /// # Errors
-/// [`Busy`].
+/// [`WriteError::Busy`]: another process writes a part.
 pub fn recover(
     path: &Path,
     mut settle: impl FnMut(File, &Path) -> io::Result<Recovery>,
     mut tell: impl FnMut(&Recovery),
-) -> Result<(), Busy> {
+) -> Result<(), WriteError> {
     for part in parts_of(path) {
         let recovery = match open(&part) {
             // The lock lasts as long as the file is open.
             Ok(file) => match file.try_lock() {
-                Err(TryLockError::WouldBlock) => return Err(Busy(part)),
+                Err(TryLockError::WouldBlock) => return Err(WriteError::Busy { path: part }),
                 Err(TryLockError::Error(cause)) => Err(cause),
                 Ok(()) if !is_named(&file, &part) => continue,
                 Ok(()) if file.metadata().is_ok_and(|found| found.len() == 0) => {
@@ -151,7 +148,7 @@ pub fn recover(
 }
 
 /// The parts of a file that there are, the first one first.
-fn parts_of(path: &Path) -> Vec<PathBuf> {
+pub(super) fn parts_of(path: &Path) -> Vec<PathBuf> {
     let first = part_of(path);
     let name = first.file_name().unwrap_or_default().to_string_lossy();
     let entries = fs::read_dir(folder_of(path))
@@ -248,13 +245,6 @@ fn folder_of(path: &Path) -> &Path {
     folder
         .filter(|folder| !folder.as_os_str().is_empty())
         .unwrap_or(Path::new("."))
-}
-
-/// `roof-recovered` for `roof.mcap` and its ending.
-pub fn recovered_stem(path: &Path, ending: &str) -> PathBuf {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let stem = name.strip_suffix(ending).unwrap_or(&name);
-    path.with_file_name(format!("{stem}-recovered"))
 }
 
 /// `NAME` for 1, `NAME-2` for 2.

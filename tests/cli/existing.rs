@@ -25,6 +25,16 @@ fn replaces_only_when_forced(args: &[&str], path: &Path) {
     std::fs::remove_file(path).unwrap();
     assert_eq!(sweepd(args).code, 0);
     assert!(std::fs::read(path).unwrap() == written, "{args:?}");
+    // A folder is never replaced.
+    std::fs::remove_file(path).unwrap();
+    std::fs::create_dir(path).unwrap();
+    let refused = sweepd(&[args, &["--force"]].concat());
+    let expected = format!(
+        "error: {} is a folder; choose another name\n",
+        path.display()
+    );
+    assert_eq!((refused.code, &refused.stderr[..]), (1, &expected[..]));
+    std::fs::remove_dir(path).unwrap();
 }
 
 #[test]

@@ -1,44 +1,20 @@
-//! Writes one capture, plain or compressed; after a sync it can be read up to that point.
+//! Writes one capture, plain or compressed.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Stdout, Write};
 use std::path::Path;
+use std::sync::atomic::AtomicBool;
 
 use flate2::write::GzEncoder;
 use flate2::{Compression, GzBuilder};
 
-use crate::capture::write::{Addressed, PcapWriter};
-use crate::files::output::is_special;
-use crate::files::parts::is_being_written;
+use crate::capture::CaptureReader;
+use crate::capture::write::{Addressed, FILE_HEADER_LEN, PcapWriter, record_len};
+use crate::files::parts::{self, Recovery};
+use crate::files::sequence::Contents;
 
-/// The format of a capture, by the end of its name.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Format {
-    /// `.pcap`
-    Plain,
-    /// `.pcap.gz`
-    Gzip,
-}
-
-impl Format {
-    /// The format of a name, if it has one.
-    pub fn of(path: &Path) -> Option<Self> {
-        let name = path.file_name()?.to_string_lossy();
-        let endings = [(".pcap", Self::Plain), (".pcap.gz", Self::Gzip)];
-        endings
-            .into_iter()
-            .find(|(ending, _)| name.ends_with(ending))
-            .map(|(_, format)| format)
-    }
-
-    /// `.pcap` or `.pcap.gz`.
-    pub fn ending(self) -> &'static str {
-        match self {
-            Self::Plain => ".pcap",
-            Self::Gzip => ".pcap.gz",
-        }
-    }
-}
+/// The ending of a compressed capture.
+const GZIP: &str = ".pcap.gz";
 
 /// A capture under way.
 pub struct CaptureFile {
@@ -71,114 +47,76 @@ impl Write for Sink {
 }
 
 impl CaptureFile {
-    /// Creates a capture; an existing file is the error `AlreadyExists`. A pipe or a device is
-    /// written directly. A file stays locked while it is written (`is_being_written`).
-    ///
-    /// # Errors
-    /// The error of the system; `ResourceBusy` if another recording has taken the file.
-    pub fn create_new(path: &Path, format: Format) -> io::Result<Self> {
-        if is_special(path) {
-            return Self::over(File::options().write(true).open(path)?, format);
-        }
-        let file = File::create_new(path)?;
-        if is_being_written(&file) {
-            return Err(io::ErrorKind::ResourceBusy.into());
-        }
-        Self::over(file, format)
-    }
-
     /// Writes a plain capture to standard output.
     ///
     /// # Errors
     /// What the system says.
     pub fn stdout() -> io::Result<Self> {
-        Ok(Self {
-            writer: PcapWriter::new(Sink::Stdout(BufWriter::new(io::stdout())))?,
-        })
+        let sink = Sink::Stdout(BufWriter::new(io::stdout()));
+        let writer = PcapWriter::new(sink)?;
+        Ok(Self { writer })
     }
+}
 
-    /// Writes a capture into an empty file.
-    ///
-    /// # Errors
-    /// What the system says.
-    pub fn over(file: File, format: Format) -> io::Result<Self> {
-        let sink = match format {
-            Format::Plain => Sink::Plain(BufWriter::new(file)),
+impl Contents for CaptureFile {
+    type Record<'a> = Addressed<'a>;
+    const ENDINGS: &'static [&'static str] = &[".pcap", GZIP];
+    const HEADER_LEN: u64 = FILE_HEADER_LEN;
+    const NEEDS_END: bool = false;
+
+    fn begin(file: File, ending: &str) -> io::Result<Self> {
+        let sink = match ending {
             // No creation time in the header, so that the same datagrams give the same file.
-            Format::Gzip => Sink::Gzip(BufWriter::new(
+            GZIP => Sink::Gzip(BufWriter::new(
                 GzBuilder::new()
                     .mtime(0)
                     .write(file, Compression::default()),
             )),
+            _ => Sink::Plain(BufWriter::new(file)),
         };
-        Ok(Self {
-            writer: PcapWriter::new(sink)?,
-        })
+        let writer = PcapWriter::new(sink)?;
+        Ok(Self { writer })
     }
 
-    /// Writes a record.
-    ///
-    /// # Errors
-    /// As [`PcapWriter::write`].
-    pub fn write(&mut self, datagram: &Addressed<'_>) -> io::Result<()> {
+    fn time_ns(datagram: &Addressed<'_>) -> i64 {
+        datagram.arrival_ns
+    }
+
+    fn len(datagram: &Addressed<'_>) -> u64 {
+        record_len(datagram.payload.len())
+    }
+
+    fn write(&mut self, datagram: &Addressed<'_>) -> io::Result<()> {
         self.writer.write(datagram)
     }
 
-    /// Syncs all that was written to the disk, as a capture that can be read up to here.
-    ///
-    /// # Errors
-    /// What the disk says.
-    pub fn sync(&mut self) -> io::Result<()> {
-        let sink = self.writer.sink_mut();
-        sink.flush()?;
-        match sink {
-            Sink::Plain(file) => synced(file.get_ref()),
-            Sink::Gzip(file) => synced(file.get_ref().get_ref()),
-            Sink::Stdout(_) => Ok(()),
+    fn flush(&mut self) -> io::Result<()> {
+        self.writer.sink_mut().flush()
+    }
+
+    /// With the end of a gzip stream.
+    fn finish(self) -> io::Result<()> {
+        if let Sink::Gzip(file) = self.writer.finish()? {
+            let file = file.into_inner().map_err(io::IntoInnerError::into_error)?;
+            file.finish()?;
         }
+        Ok(())
     }
 
-    /// Writes what is left in buffers, including the end of a gzip stream.
-    ///
-    /// # Errors
-    /// The error of the disk or the reader.
-    pub fn finish(self) -> io::Result<()> {
-        self.close().map(drop)
-    }
-
-    /// As [`CaptureFile::finish`], and syncs it to the disk. Gives the file, which is locked until
-    /// it is dropped; `None` for standard output.
-    ///
-    /// # Errors
-    /// What the disk says.
-    pub fn finish_and_sync(self) -> io::Result<Option<File>> {
-        let file = self.close()?;
-        if let Some(file) = &file {
-            synced(file)?;
+    /// One that is cut can be read.
+    fn recover(
+        file: File,
+        part: &Path,
+        stem: &Path,
+        ending: &str,
+        _over: &AtomicBool,
+    ) -> io::Result<Recovery> {
+        let name = part.display().to_string();
+        // A copy keeps the lock.
+        if CaptureReader::new(&name, Box::new(file.try_clone()?)).is_err() {
+            return Err(io::Error::other("it is no capture"));
         }
-        Ok(file)
-    }
-
-    fn close(self) -> io::Result<Option<File>> {
-        match self.writer.finish()? {
-            Sink::Plain(file) => file
-                .into_inner()
-                .map_err(io::IntoInnerError::into_error)
-                .map(Some),
-            Sink::Gzip(file) => file
-                .into_inner()
-                .map_err(io::IntoInnerError::into_error)?
-                .finish()
-                .map(Some),
-            Sink::Stdout(_) => Ok(None),
-        }
-    }
-}
-
-/// A pipe or a device has nothing to sync (fsync(2), EINVAL).
-fn synced(file: &File) -> io::Result<()> {
-    match file.sync_data() {
-        Err(error) if error.kind() == io::ErrorKind::InvalidInput => Ok(()),
-        other => other,
+        let path = parts::give_free_name(part, stem, ending)?;
+        Ok(Recovery::Named { path })
     }
 }

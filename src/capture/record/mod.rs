@@ -12,11 +12,9 @@
 //! that was put in at most 120 ms later (300 ms for the first datagrams of a feed). Datagrams of
 //! one feed keep their order.
 //!
-//! [`mod@file`] is one capture, [`Rotation`] says when another begins.
+//! [`mod@file`] is one capture, [`sequence`](crate::files::sequence) says when another begins.
 
-mod error;
 pub mod file;
-mod files;
 pub(crate) mod ring;
 
 use std::path::{Path, PathBuf};
@@ -25,13 +23,12 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-pub use self::error::RecordError;
-use self::files::Files;
-pub use self::files::{Rotation, Written, open_special};
+use self::file::CaptureFile;
 use self::ring::{Consumer, Producer, ring};
-use super::write::Addressed;
+use crate::capture::write::Addressed;
+use crate::files::WriteError;
 use crate::files::output::Existing;
-use crate::files::parts::Recovery;
+use crate::files::sequence::{RecoveryWatch, Rotation, Sequence, Written};
 
 /// Capacity of a feed, bytes: 4.7 s of an HDL-64E S3 with two returns, 1.4 s of such a VLS-128. The memory is taken only when it is first
 /// used.
@@ -75,7 +72,7 @@ pub struct RecordCounts {
 /// feed.put(&Addressed { arrival_ns: 1_500_000_000_123_456_789, source, destination, payload: b"hello" });
 /// let (written, ended) = recorder.finish();
 /// ended?;
-/// assert_eq!(written.datagrams, 1);
+/// assert_eq!(written.records, 1);
 /// assert_eq!(Capture::open(&path)?.next_datagram()?.unwrap().arrival_ns, 1_500_000_000_123_456_789);
 /// # std::fs::remove_dir_all(&folder)?;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -84,7 +81,6 @@ pub struct RecordCounts {
 pub struct Recorder {
     shared: Arc<Shared>,
     path: PathBuf,
-    recoveries: Vec<Recovery>,
     /// `None` when it was joined.
     writer: Option<JoinHandle<Written>>,
 }
@@ -100,7 +96,7 @@ struct Shared {
     open_feeds: AtomicUsize,
     /// Feeds that the writing thread has not seen yet.
     new_feeds: Mutex<Vec<Consumer>>,
-    error: OnceLock<Arc<RecordError>>,
+    error: OnceLock<Arc<WriteError>>,
 }
 
 impl Shared {
@@ -128,6 +124,8 @@ pub struct RecorderConfig<'a> {
     pub accept: Accept,
     /// The counts; a recorder that continues a failed one continues its counts.
     pub counts: Arc<RecordCounts>,
+    /// Who is told what became of files that killed recordings of the same name left.
+    pub watch: RecoveryWatch,
 }
 
 impl<'a> RecorderConfig<'a> {
@@ -139,6 +137,10 @@ impl<'a> RecorderConfig<'a> {
             existing: Existing::Keep,
             accept: Box::new(|_| true),
             counts: Arc::default(),
+            watch: RecoveryWatch {
+                over: Arc::default(),
+                tell: |_| {},
+            },
         }
     }
 }
@@ -147,12 +149,16 @@ impl Recorder {
     /// Begins a recording with its first file. May block on the disk.
     ///
     /// # Errors
-    /// [`RecordError`]: a name without format, a file that cannot be written.
-    pub fn start(config: RecorderConfig<'_>) -> Result<Self, RecordError> {
-        let files = match config.existing {
-            Existing::Keep => Files::create(config.path, config.rotation)?,
-            Existing::Replace => Files::replacing(config.path)?,
-        };
+    /// [`WriteError`]: a name without format, a file that cannot be written.
+    pub fn start(config: RecorderConfig<'_>) -> Result<Self, WriteError> {
+        let RecorderConfig {
+            path,
+            rotation,
+            existing,
+            watch,
+            ..
+        } = config;
+        let files: Sequence<CaptureFile> = Sequence::create(path, rotation, existing, watch)?;
         let mut published = Published::default();
         published.update(&config.counts, files.written());
         let shared = Arc::new(Shared {
@@ -160,7 +166,6 @@ impl Recorder {
             ..Shared::default()
         });
         let path = files.written().first.clone();
-        let recoveries = files.recoveries().to_vec();
         let writer = Writer {
             shared: Arc::clone(&shared),
             files,
@@ -171,11 +176,10 @@ impl Recorder {
         let thread = thread::Builder::new()
             .name("sweepd-record".to_owned())
             .spawn(move || writer.run())
-            .map_err(|source| RecordError::Thread { source })?;
+            .map_err(|cause| WriteError::Thread { cause })?;
         Ok(Self {
             shared,
             path,
-            recoveries,
             writer: Some(thread),
         })
     }
@@ -196,11 +200,6 @@ impl Recorder {
         &self.path
     }
 
-    /// What became of files that killed recordings of the same name left. For people.
-    pub fn recoveries(&self) -> &[Recovery] {
-        &self.recoveries
-    }
-
     /// How far it is.
     pub fn counts(&self) -> &RecordCounts {
         &self.shared.counts
@@ -212,7 +211,7 @@ impl Recorder {
     }
 
     /// Why it has ended early; `None` while it runs. After that nothing is written.
-    pub fn error(&self) -> Option<&Arc<RecordError>> {
+    pub fn error(&self) -> Option<&Arc<WriteError>> {
         self.shared.error.get()
     }
 
@@ -220,8 +219,8 @@ impl Recorder {
     /// any case; after a failure, those of data that is certainly on the disk.
     ///
     /// # Errors
-    /// [`RecordError::File`]: the disk fails now, or failed before.
-    pub fn finish(mut self) -> (Written, Result<(), Arc<RecordError>>) {
+    /// [`WriteError::Recording`]: the disk fails now, or failed before.
+    pub fn finish(mut self) -> (Written, Result<(), Arc<WriteError>>) {
         let written = self.end().unwrap_or_default();
         (
             written,
@@ -288,7 +287,7 @@ impl Drop for Feed {
 /// The writing thread.
 struct Writer {
     shared: Arc<Shared>,
-    files: Files,
+    files: Sequence<CaptureFile>,
     accept: Accept,
     feeds: Vec<OpenFeed>,
     published: Published,
@@ -351,7 +350,7 @@ impl Writer {
         written
     }
 
-    fn write_all(&mut self) -> Result<(), RecordError> {
+    fn write_all(&mut self) -> Result<(), WriteError> {
         loop {
             // Loaded before the feeds are polled, so that all datagrams put in before the end are
             // seen.
@@ -381,7 +380,7 @@ impl Writer {
 
     /// Writes the due datagrams in order of arrival, and before them any newer ones with earlier
     /// stamps.
-    fn write_due(&mut self) -> Result<(), RecordError> {
+    fn write_due(&mut self) -> Result<(), WriteError> {
         while self.feeds.iter().any(OpenFeed::is_due) {
             let next = self
                 .feeds
@@ -410,7 +409,7 @@ struct Published {
 
 impl Published {
     fn update(&mut self, counts: &RecordCounts, written: &Written) {
-        add(&counts.written, &mut self.datagrams, written.datagrams);
+        add(&counts.written, &mut self.datagrams, written.records);
         add(&counts.bytes, &mut self.bytes, written.bytes);
         add(&counts.files, &mut self.files, written.files);
     }

@@ -1,3 +1,4 @@
+use std::cell::Cell;
 use std::time::Instant;
 
 use super::*;
@@ -67,7 +68,7 @@ fn feeds_are_merged_by_arrival() {
     let (written, ended) = recorder.finish();
     ended.unwrap();
     let all = read(&path);
-    assert_eq!(written.datagrams, 2001);
+    assert_eq!(written.records, 2001);
     // On a busy machine, datagrams that are late by more than a period are out of order, but not
     // lost.
     let mut times: Vec<i64> = all
@@ -133,7 +134,7 @@ fn unwritten_datagrams_are_counted_and_a_failure_is_reported() {
         error.contains("full.pcap") && error.contains("free space there"),
         "{error}"
     );
-    assert_eq!(written.datagrams, 0);
+    assert_eq!(written.records, 0);
 }
 
 #[test]
@@ -208,7 +209,7 @@ fn a_second_recording_never_takes_the_file_of_the_first() {
     record_one(&first);
     for name in [&path, &other_name] {
         let error = Recorder::start(replacing(name)).unwrap_err();
-        assert!(matches!(error, RecordError::Busy { .. }), "{error}");
+        assert!(matches!(error, WriteError::Busy { .. }), "{error}");
     }
     let (_, ended) = first.finish();
     assert!(ended.is_ok() && read(&path).len() == 1);
@@ -217,7 +218,7 @@ fn a_second_recording_never_takes_the_file_of_the_first() {
     let plain = folder.path().join("plain.pcap");
     let first = Recorder::start(RecorderConfig::new(&plain)).unwrap();
     let error = Recorder::start(replacing(&plain)).unwrap_err();
-    assert!(matches!(error, RecordError::Busy { .. }), "{error}");
+    assert!(matches!(error, WriteError::Busy { .. }), "{error}");
     drop(first);
     let second = Recorder::start(replacing(&plain)).unwrap();
     record_one(&second);
@@ -233,7 +234,7 @@ fn a_file_that_another_recording_has_begun_meanwhile_is_not_replaced() {
     record_one(&first);
     record_one(&second);
     let (written, ended) = first.finish();
-    assert!(matches!(*ended.unwrap_err(), RecordError::Busy { .. }));
+    assert!(matches!(*ended.unwrap_err(), WriteError::Busy { .. }));
     assert_eq!(written.last, folder.path().join("x.pcap.part"));
     assert_eq!(read(&written.last).len(), 1);
     assert!(second.finish().1.is_ok() && read(&path).len() == 1);
@@ -268,7 +269,7 @@ fn a_part_that_was_replaced_replaces_nothing() {
     std::fs::remove_file(&part).unwrap();
     std::fs::write(&part, "of another program").unwrap();
     let (_, ended) = recorder.finish();
-    assert!(matches!(*ended.unwrap_err(), RecordError::Lost { .. }));
+    assert!(matches!(*ended.unwrap_err(), WriteError::Lost { .. }));
     assert_eq!(std::fs::read(&path).unwrap(), b"good");
     assert_eq!(std::fs::read(&part).unwrap(), b"of another program");
 }
@@ -313,6 +314,51 @@ fn a_part_that_was_left_is_kept_and_stops_no_recording() {
     }
 }
 
+#[test]
+fn names_that_say_no_format_are_refused() {
+    for name in [
+        "-",
+        "",
+        "/",
+        "drive",
+        "drive.pcapng",
+        "drive.gz",
+        "drive.PCAP",
+        ".pcap",
+    ] {
+        let error = Recorder::start(RecorderConfig::new(name.as_ref())).unwrap_err();
+        assert!(matches!(error, WriteError::Name { .. }), "{name}: {error}");
+        let expected = format!("{name}: expected a name that ends in .pcap or .pcap.gz");
+        assert_eq!(error.to_string(), expected);
+    }
+}
+
+/// A sequence leaves out what is there, and what a recording that replaces a file has left.
+#[test]
+fn numbers_of_files_folders_and_parts_are_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("x-000.pcap"), "a file").unwrap();
+    std::fs::create_dir(folder.path().join("x-001.pcap")).unwrap();
+    std::fs::write(folder.path().join("x-002.pcap.part-2"), "a part").unwrap();
+    let path = folder.path().join("x.pcap");
+    let recorder = Recorder::start(RecorderConfig {
+        rotation: Rotation {
+            bytes: None,
+            ns: Some(1),
+        },
+        ..RecorderConfig::new(&path)
+    });
+    let recorder = recorder.unwrap();
+    record_one(&recorder);
+    let (written, ended) = recorder.finish();
+    ended.unwrap();
+    assert_eq!(written.last, folder.path().join("x-003.pcap"));
+    assert_eq!(
+        std::fs::read(folder.path().join("x-002.pcap.part-2")).unwrap(),
+        b"a part"
+    );
+}
+
 /// A recording of some datagrams.
 fn capture(ending: &str) -> Vec<u8> {
     let folder = tempfile::tempdir().unwrap();
@@ -335,8 +381,12 @@ fn record_beside(ending: &str, left: &[u8]) {
     let folder = tempfile::tempdir_in("/dev/shm").unwrap();
     let path = folder.path().join(format!("x{ending}"));
     std::fs::write(folder.path().join(format!("x{ending}.part")), left).unwrap();
-    let recorder = Recorder::start(replacing(&path)).unwrap();
-    assert_eq!(recorder.recoveries().len(), 1);
+    thread_local!(static TOLD: Cell<u32> = const { Cell::new(0) });
+    let mut config = replacing(&path);
+    config.watch.tell = |_| TOLD.set(TOLD.get() + 1);
+    TOLD.set(0);
+    let recorder = Recorder::start(config).unwrap();
+    assert_eq!(TOLD.get(), 1);
     record_one(&recorder);
     assert!(recorder.finish().1.is_ok() && read(&path).len() == 1);
     let files = std::fs::read_dir(folder.path()).unwrap();

@@ -4,9 +4,9 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use crate::admission::SensorFilter;
-use crate::capture::record::Rotation;
 use crate::cli::options::{Listening, within};
 use crate::cli::output::ForceOptions;
+use crate::files::sequence::Rotation;
 
 /// Options of `sweepd record`.
 #[derive(Clone, Debug, clap::Args)]

@@ -2,15 +2,27 @@
 
 use std::io::{self, IsTerminal, Write};
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
+use crate::cli::complain;
 use crate::daemon::record::protocol::Progress;
+use crate::files::sequence::RecoveryWatch;
 use crate::text::grouped;
 
 /// Interval at which threads check for the end.
 pub const TICK: Duration = Duration::from_millis(50);
+
+/// Tells people what became of the parts of killed recordings, until it is over.
+pub fn recovery_watch(over: &Arc<AtomicBool>) -> RecoveryWatch {
+    RecoveryWatch {
+        over: Arc::clone(over),
+        tell: |recovery| complain(recovery.severity(), recovery),
+    }
+}
 
 /// Says what is recorded and where.
 pub fn announce(inputs: &str, file: &Path) {

@@ -8,15 +8,16 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use super::args::Args;
-use super::live::{TICK, announce, describe, live_line};
+use super::live::{TICK, announce, describe, live_line, recovery_watch};
 use super::report::{InputReport, Report};
 use crate::admission::DiscoveredSensors;
-use crate::capture::record::{Feed, RecorderConfig, open_special};
+use crate::capture::record::{Feed, Recorder, RecorderConfig};
 use crate::capture::udp::ample_buffer_bytes;
-use crate::capture::{Recorder, UdpConfig, UdpError, UdpSource};
+use crate::capture::{UdpConfig, UdpError, UdpSource};
 use crate::cli::options::Listening;
 use crate::cli::{CliError, complain};
 use crate::daemon::record::protocol::{Progress, Received};
+use crate::files::output::open_special;
 
 /// Records ports of this host until `over` is set, the time is up, or the disk fails.
 pub fn record(
@@ -30,15 +31,13 @@ pub fn record(
     let recorder = Recorder::start(RecorderConfig {
         rotation: args.rotation(),
         existing: args.force.existing(),
+        watch: recovery_watch(&over),
         ..RecorderConfig::new(path)
     })?;
     let places: Vec<String> = sources
         .iter()
         .map(|source| source.local_addr().to_string())
         .collect();
-    for recovery in recorder.recoveries() {
-        complain(recovery.severity(), recovery);
-    }
     announce(&places.join(", "), recorder.path());
     let inputs = sources.into_iter().map(|source| Input {
         source,

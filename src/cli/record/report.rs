@@ -4,8 +4,8 @@ use std::io::{self, Write};
 use std::time::Duration;
 
 use crate::admission::Refusal;
-use crate::capture::record::Written;
 use crate::daemon::record::protocol::Received;
+use crate::files::sequence::Written;
 use crate::text::{count_of, grouped};
 
 /// Counts of one port, or of the daemon.
@@ -51,7 +51,7 @@ impl Report {
     /// Datagrams that were selected but are not in the files.
     fn unwritten(&self) -> u64 {
         let wanted = self.received().saturating_sub(self.refused());
-        wanted.saturating_sub(self.written.datagrams)
+        wanted.saturating_sub(self.written.records)
     }
 
     /// Prints it for people.
@@ -59,24 +59,13 @@ impl Report {
     /// # Errors
     /// What the reader says.
     pub fn print(&self, to: &mut impl Write) -> io::Result<()> {
-        let Written {
-            datagrams,
-            bytes,
-            first,
-            last,
-            files,
-        } = &self.written;
-        let names = match files {
-            1 => first.display().to_string(),
-            _ => format!("{} to {} ({files} files)", first.display(), last.display()),
-        };
         let seconds = self.took.as_secs_f64();
-        writeln!(to, "{names}")?;
+        writeln!(to, "{}", self.written.names())?;
         writeln!(
             to,
             "  recorded     {}, {} bytes, {seconds:.1} s",
-            count_of(*datagrams, "datagram"),
-            grouped(*bytes)
+            count_of(self.written.records, "datagram"),
+            grouped(self.written.bytes)
         )?;
         for sender in self.inputs.iter().flat_map(|input| &input.received.senders) {
             let data = count_of(sender.packets, "data packet");

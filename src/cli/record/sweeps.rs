@@ -9,11 +9,11 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use super::args::Args;
-use super::live::{TICK, announce, live_line};
+use super::live::{TICK, announce, live_line, recovery_watch};
 use crate::cli::{CliError, complain};
-use crate::export::WriteError;
-use crate::export::mcap::{McapFiles, RecoveryWatch, SweepMessages, WrittenSweeps};
-use crate::files::parts::Recovery;
+use crate::export::mcap::{McapFiles, SweepMessages};
+use crate::files::WriteError;
+use crate::files::sequence::Written;
 use crate::publish::Domain;
 use crate::text::{count_of, grouped};
 use sweepd_client::client::{Client, Next};
@@ -33,12 +33,9 @@ pub fn record(
     over: &Arc<AtomicBool>,
 ) -> Result<(), CliError> {
     let client = Client::within(&Domain::at_or_default(args.root.as_deref()), sensor)?;
-    let watch = RecoveryWatch {
-        over: Arc::clone(over),
-        tell,
-    };
-    let files = McapFiles::create(path, args.rotation(), args.force.existing(), watch)?;
-    announce(&format!("sweeps of {sensor}"), &files.written().first);
+    let (rotation, existing) = (args.rotation(), args.force.existing());
+    let files = McapFiles::create(path, rotation, existing, recovery_watch(over))?;
+    announce(&format!("sweeps of {sensor}"), files.path());
     let begun = Instant::now();
     let bytes = &AtomicU64::new(0);
     let (sender, receiver) = sync_channel(QUEUE);
@@ -75,10 +72,6 @@ pub fn record(
         );
     }
     Ok(())
-}
-
-fn tell(recovery: &Recovery) {
-    complain(recovery.severity(), recovery);
 }
 
 /// What came.
@@ -153,37 +146,29 @@ fn write(
     mut files: McapFiles,
     receiver: Receiver<SweepMessages>,
     bytes: &AtomicU64,
-) -> Result<WrittenSweeps, WriteError> {
+) -> Result<Written, WriteError> {
     loop {
         match receiver.recv_timeout(LOOK_EVERY) {
             Ok(messages) => files.write(&messages)?,
             Err(RecvTimeoutError::Timeout) => {}
-            Err(RecvTimeoutError::Disconnected) => return files.finish(),
+            Err(RecvTimeoutError::Disconnected) => {
+                let (written, ended) = files.finish(Ok(()));
+                return ended.map(|()| written);
+            }
         }
         files.sync_now_and_then()?;
         bytes.store(files.written().bytes, Ordering::Relaxed);
     }
 }
 
-fn print(written: &WrittenSweeps, counts: &Counts, took: Duration) -> io::Result<()> {
-    let WrittenSweeps {
-        sweeps,
-        bytes,
-        first,
-        last,
-        files,
-    } = written;
-    let names = match files {
-        1 => first.display().to_string(),
-        _ => format!("{} to {} ({files} files)", first.display(), last.display()),
-    };
+fn print(written: &Written, counts: &Counts, took: Duration) -> io::Result<()> {
     let mut out = io::stdout().lock();
-    writeln!(out, "{names}")?;
+    writeln!(out, "{}", written.names())?;
     writeln!(
         out,
         "  recorded     {}, {} bytes uncompressed, {:.1} s",
-        count_of(*sweeps, "sweep"),
-        grouped(*bytes),
+        count_of(written.records, "sweep"),
+        grouped(written.bytes),
         took.as_secs_f64()
     )?;
     writeln!(

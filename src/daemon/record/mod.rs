@@ -34,7 +34,8 @@ use self::recording::{Drops, Origin, Recording, Target, explain, finish_failed};
 use super::config::RecordConfig;
 use super::counters::PortCounters;
 use crate::capture::record::{Feed, RecordCounts, Recorder};
-use crate::capture::{RecordError, write::Addressed};
+use crate::capture::write::Addressed;
+use crate::files::WriteError;
 
 /// Most clients that are served at a time.
 pub const MAX_ON_DEMAND: usize = 4;
@@ -131,7 +132,7 @@ pub enum Event {
         /// Its number.
         id: u64,
         /// What writes it.
-        result: Result<Recorder, RecordError>,
+        result: Result<Recorder, WriteError>,
     },
     /// Its client has asked for the end, or has gone.
     Abandoned {
@@ -449,13 +450,13 @@ impl Recordings {
                     unsent.0.discard();
                 }
             });
-        if let Err(source) = thread {
-            self.opened(id, Err(RecordError::Thread { source }));
+        if let Err(cause) = thread {
+            self.opened(id, Err(WriteError::Thread { cause }));
         }
     }
 
     /// The file of a recording was opened, for the first time or once more, or could not be.
-    fn opened(&mut self, id: u64, result: Result<Recorder, RecordError>) {
+    fn opened(&mut self, id: u64, result: Result<Recorder, WriteError>) {
         let Some(index) = self.list.iter().position(|one| one.id == id) else {
             // It was ended meanwhile, and has recorded nothing.
             if let Ok(recorder) = result {
@@ -520,7 +521,7 @@ impl Recordings {
         }
     }
 
-    fn could_not_open(&mut self, index: usize, error: &RecordError) {
+    fn could_not_open(&mut self, index: usize, error: &WriteError) {
         let other = self.other_configured(index);
         let mut list = self.list.iter();
         let goes_on = list.any(|one| Some(one.id) == other && !one.has_failed());

@@ -14,7 +14,8 @@ use serde::{Deserialize, Serialize};
 use tokio::net::UnixStream;
 
 use crate::admission::{DiscoveredSensors, Refusal, RefusalCounts, Sender};
-use crate::capture::record::{RecordCounts, Rotation, Written};
+use crate::capture::record::RecordCounts;
+use crate::files::sequence::{Rotation, Written};
 
 /// Increased whenever a message changes.
 pub const VERSION: u32 = 3;

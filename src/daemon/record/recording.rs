@@ -11,13 +11,12 @@ use tracing::{error, info, warn};
 
 use super::protocol::{Ended, Progress, Received, Request};
 use crate::admission::{DiscoveredSensors, SensorFilter};
-use crate::capture::RecordError;
-use crate::capture::record::{
-    Accept, RecordCounts, Recorder, RecorderConfig, Rotation, Written, open_special,
-};
+use crate::capture::record::{Accept, RecordCounts, Recorder, RecorderConfig};
 use crate::daemon::config::RecordConfig;
 use crate::daemon::counters::PortCounters;
-use crate::files::output::Existing;
+use crate::files::WriteError;
+use crate::files::output::{Existing, open_special};
+use crate::files::sequence::{RecoveryWatch, Rotation, Written};
 use crate::text::count_of;
 
 /// From one attempt to begin a recording that has failed to the next, at first and at most. One
@@ -90,7 +89,7 @@ impl Target {
     }
 
     /// Begins to write; waits for the disk.
-    pub(super) fn start(&self, counts: Arc<RecordCounts>) -> Result<Recorder, RecordError> {
+    pub(super) fn start(&self, counts: Arc<RecordCounts>) -> Result<Recorder, WriteError> {
         // Kept open meanwhile, so that the reader of a pipe sees no end before the beginning.
         let _pipe = match self.admission {
             Some(_) => open_special(&self.path)?,
@@ -103,17 +102,17 @@ impl Target {
             }),
             None => Box::new(|_| true),
         };
-        let recorder = Recorder::start(RecorderConfig {
+        Recorder::start(RecorderConfig {
             path: &self.path,
             rotation: self.rotation,
             existing: self.existing,
             accept,
             counts,
-        })?;
-        for recovery in recorder.recoveries() {
-            warn!("{recovery}");
-        }
-        Ok(recorder)
+            watch: RecoveryWatch {
+                over: Arc::default(),
+                tell: |recovery| warn!("{recovery}"),
+            },
+        })
     }
 
     /// What came of the sensor.
@@ -391,7 +390,7 @@ impl Recording {
     }
 
     /// It could not be begun. Only the first failure in a row is news.
-    pub(super) fn failed(&mut self, error: &RecordError) {
+    pub(super) fn failed(&mut self, error: &WriteError) {
         if self.trouble.is_none() && self.recorder.is_none() {
             error!("nothing is recorded: {error}. It is tried again and again; the sensors go on");
         }
@@ -481,8 +480,8 @@ pub(super) fn finish_failed(recorder: Recorder) {
     log_end(&written, &result, true);
 }
 
-fn log_end(written: &Written, result: &Result<(), Arc<RecordError>>, is_known: bool) {
-    let datagrams = count_of(written.datagrams, "datagram");
+fn log_end(written: &Written, result: &Result<(), Arc<WriteError>>, is_known: bool) {
+    let datagrams = count_of(written.records, "datagram");
     let files = count_of(written.files, "file");
     match result {
         Ok(()) => info!(
@@ -490,7 +489,7 @@ fn log_end(written: &Written, result: &Result<(), Arc<RecordError>>, is_known: b
             written.last.display()
         ),
         // One that was begun again in vain.
-        Err(_) if is_known && written.datagrams == 0 => {}
+        Err(_) if is_known && written.records == 0 => {}
         Err(_) if is_known => info!("of that recording, {datagrams} in {files} are safe"),
         Err(error) => {
             error!("the recording has ended: {error}; {datagrams} in {files} are safe");
@@ -499,12 +498,12 @@ fn log_end(written: &Written, result: &Result<(), Arc<RecordError>>, is_known: b
 }
 
 /// Why a client's file cannot be written. The daemon's rights are not the client's.
-pub(super) fn explain(error: &RecordError) -> String {
-    let RecordError::File { path, source } = error else {
+pub(super) fn explain(error: &WriteError) -> String {
+    let WriteError::Recording { path, cause } = error else {
         return error.to_string();
     };
     let is_forbidden = matches!(
-        source.kind(),
+        cause.kind(),
         io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem
     );
     if !is_forbidden {
@@ -515,7 +514,7 @@ pub(super) fn explain(error: &RecordError) -> String {
     let own = std::env::var("STATE_DIRECTORY").unwrap_or_else(|_| "/var/lib/sweepd".to_owned());
     let own = own.split(':').next().unwrap_or(&own);
     format!(
-        "the daemon may not write to the folder {folder}: {source}; record to its own folder ({own} under systemd), or let \
+        "the daemon may not write to the folder {folder}: {cause}; record to its own folder ({own} under systemd), or let \
          its user write there, and its unit by ReadWritePaths={folder} (docs/install.md)"
     )
 }

@@ -14,7 +14,8 @@ use super::server::{ControlServer, SocketError};
 use super::*;
 use crate::admission::Refusal;
 use crate::capture::Capture;
-use crate::capture::record::Rotation;
+use crate::files::WriteError;
+use crate::files::sequence::Rotation;
 use std::io;
 
 const SOON: Duration = Duration::from_secs(10);
@@ -211,7 +212,7 @@ async fn is_recorded_in_the_order_of_arrival() -> bool {
         std::thread::sleep(Duration::from_millis(500));
     }
     let ended = daemon.end(recording).await;
-    assert_eq!((ended.error, ended.written.datagrams), (None, 2_040));
+    assert_eq!((ended.error, ended.written.records), (None, 2_040));
     assert_eq!(
         (ended.received.datagrams, ended.received.positions),
         (2_040, 40)
@@ -262,7 +263,7 @@ async fn the_end_of_the_daemon_ends_recordings_and_tells_their_clients() {
             .finish()
             .await;
     });
-    assert_eq!((ended.error, ended.written.datagrams), (None, 1));
+    assert_eq!((ended.error, ended.written.records), (None, 1));
     assert!(!socket.exists());
 }
 
@@ -280,10 +281,7 @@ async fn a_disk_that_fails_ends_the_recording_and_what_is_lost_is_counted() {
         error.contains("full.pcap: No space left on device") && error.contains("free space there"),
         "{error}"
     );
-    assert_eq!(
-        (ended.received.datagrams, ended.written.datagrams),
-        (200, 0)
-    );
+    assert_eq!((ended.received.datagrams, ended.written.records), (200, 0));
 }
 
 #[tokio::test(flavor = "current_thread")]
@@ -296,7 +294,7 @@ async fn senders_that_are_not_wanted_are_counted_and_not_recorded() {
     let ended = daemon.end(recording).await;
     assert_eq!(
         (
-            ended.written.datagrams,
+            ended.written.records,
             ended.received.refusals.get(Refusal::Source)
         ),
         (0, 1)
@@ -358,9 +356,9 @@ fn a_folder_that_the_daemon_may_not_write_to_is_named_with_the_cure() {
         io::ErrorKind::PermissionDenied,
         io::ErrorKind::ReadOnlyFilesystem,
     ] {
-        let text = explain(&RecordError::File {
+        let text = explain(&WriteError::Recording {
             path: "/home/me/x.pcap".into(),
-            source: kind.into(),
+            cause: kind.into(),
         });
         for part in [
             "may not write to the folder /home/me: ",
@@ -421,7 +419,7 @@ async fn clients_are_few_and_hostile_ones_keep_nobody_waiting() {
     // One that reads nothing loses progress, and nothing else.
     daemon.ports[0].receive(0, 2368, 5, &data_packet(1));
     for recording in recordings {
-        assert_eq!(daemon.end(recording).await.written.datagrams, 1);
+        assert_eq!(daemon.end(recording).await.written.records, 1);
     }
 }
 

@@ -97,13 +97,14 @@ pub(super) fn mend_part(
     file: File,
     part: &Path,
     stem: &Path,
+    ending: &str,
     over: &AtomicBool,
 ) -> io::Result<Recovery> {
     let mut copy = part.as_os_str().to_owned();
     copy.push(".mended");
     let copy = PathBuf::from(copy);
     let (found, path) = match mend_into(&file, &copy, over) {
-        Ok(found) => (found, parts::give_free_name(&copy, stem, ".mcap")),
+        Ok(found) => (found, parts::give_free_name(&copy, stem, ending)),
         Err(cause) => return Err(cause),
     };
     let path = path.inspect_err(|_| remove_quietly(&copy))?;

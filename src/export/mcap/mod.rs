@@ -21,13 +21,14 @@ use mcap::write::NoSeek;
 use mcap::{Compression, McapError, WriteOptions};
 
 use crate::VERSION;
-use crate::files::output::{Existing, NewFile, WriteError};
+use crate::files::WriteError;
+use crate::files::output::{Existing, NewFile};
+use crate::files::sequence::{Sequence, ending_of};
 use sweepd_core::sweep::SweepRef;
 use sweepd_messages::message_type::{self, MessageType};
 use sweepd_messages::transforms::{self, Transform};
 use sweepd_messages::{Cloud, MessageHeader, Stamp, markers, names};
 
-pub use files::{McapFiles, RecoveryWatch, WrittenSweeps, check_name};
 pub use mend::{Mended, mend};
 
 /// The program, as the header of a file names it.
@@ -281,6 +282,9 @@ impl Channel {
     }
 }
 
+/// The files of a recording.
+pub type McapFiles = Sequence<McapWriter<BufWriter<File>>>;
+
 /// A file under way that is removed unless it is finished.
 pub struct McapOutput {
     writer: McapWriter<BufWriter<File>>,
@@ -293,7 +297,7 @@ impl McapOutput {
     /// # Errors
     /// [`WriteError`]: a name without `.mcap`, a file that exists or cannot be written.
     pub fn create(path: &Path, existing: Existing) -> Result<Self, WriteError> {
-        check_name(path)?;
+        ending_of::<McapWriter<BufWriter<File>>>(path)?;
         let (file, new) = NewFile::create(path, existing)?;
         let writer = McapWriter::new(BufWriter::new(file)).map_err(|cause| new.failed(cause))?;
         Ok(Self { writer, new })

@@ -13,8 +13,8 @@ use mcap::sans_io::LinearReaderOptions;
 
 use super::*;
 use crate::capture::bag::mcap::MAGIC;
-use crate::capture::record::Rotation;
 use crate::export::test_scene::Scene;
+use crate::files::sequence::{RecoveryWatch, Rotation, Written};
 
 /// The messages of sweeps of two sensors, a tenth of a second apart.
 fn messages(sweeps: u64) -> Vec<SweepMessages> {
@@ -149,6 +149,12 @@ fn begin(path: &Path, rotation: Rotation, existing: Existing) -> Result<McapFile
     McapFiles::create(path, rotation, existing, watch)
 }
 
+fn finish(files: McapFiles) -> Written {
+    let (written, ended) = files.finish(Ok(()));
+    ended.unwrap();
+    written
+}
+
 /// A recording of one sensor: its messages, its bytes, and where each chunk with two of them lies.
 struct Recording {
     messages: Read,
@@ -196,7 +202,7 @@ impl Recording {
         fs::write(folder.path().join("roof.mcap.part"), left).unwrap();
         let mut files = begin(&file, Rotation::default(), Existing::Keep).unwrap();
         files.write(&messages(1)[0]).unwrap();
-        files.finish().unwrap();
+        finish(files);
         assert_eq!(read(&fs::read(&file).unwrap()).len(), 2, "{what}");
 
         let mended = fs::read(folder.path().join("roof-recovered.mcap")).expect(what);
@@ -347,7 +353,7 @@ fn a_part_stops_no_recording_and_stays_where_nothing_of_it_is_whole() {
             let file = folder.path().join("roof.mcap");
             let mut files = begin(&file, rotation, existing).unwrap();
             files.write(&messages(1)[0]).unwrap();
-            let written = files.finish().unwrap();
+            let written = finish(files);
             assert_eq!(read(&fs::read(&written.last).unwrap()).len(), 2);
             if let Some(count) = mended {
                 let mended = fs::read(folder.path().join(recovered)).unwrap();
@@ -356,6 +362,36 @@ fn a_part_stops_no_recording_and_stays_where_nothing_of_it_is_whole() {
             } else {
                 assert_eq!(fs::read(&part).unwrap(), left);
             }
+        }
+    }
+}
+
+/// The first part of a number may be gone, and others not.
+#[test]
+fn a_number_of_which_any_part_remains_is_not_taken() {
+    let recording = Recording::small();
+    let sequence = Rotation {
+        bytes: None,
+        ns: Some(1),
+    };
+    for (left, is_mended) in [(&b"Dear Sir,"[..], false), (recording.unfinished(), true)] {
+        let folder = tempfile::tempdir().unwrap();
+        let part = folder.path().join("roof-000.mcap.part-2");
+        fs::write(&part, left).unwrap();
+        let files = begin(&folder.path().join("roof.mcap"), sequence, Existing::Keep);
+        assert_eq!(
+            finish(files.unwrap()).last,
+            folder.path().join("roof-001.mcap")
+        );
+        if is_mended {
+            let mended = fs::read(folder.path().join("roof-000.mcap")).unwrap();
+            assert_eq!((names(folder.path()).len(), read(&mended).len()), (2, 16));
+        } else {
+            assert_eq!(
+                names(folder.path()),
+                ["roof-000.mcap.part-2", "roof-001.mcap"]
+            );
+            assert_eq!(fs::read(&part).unwrap(), left);
         }
     }
 }
@@ -423,8 +459,8 @@ fn a_recording_begins_new_files_and_mends_what_another_left() {
     for one in &messages {
         files.write(one).unwrap();
     }
-    let written = files.finish().unwrap();
-    assert_eq!((written.sweeps, written.files), (5, 3));
+    let written = finish(files);
+    assert_eq!((written.records, written.files), (5, 3));
     assert_eq!(
         names(folder.path()),
         [
@@ -465,16 +501,16 @@ fn existing_files_and_other_names_are_refused() {
     let mut files = create(Existing::Replace).unwrap();
     files.write(&messages(1)[0]).unwrap();
     assert_eq!(fs::read(&path).unwrap(), b"old");
-    files.finish().unwrap();
+    finish(files);
     assert_eq!(read(&fs::read(&path).unwrap()).len(), 2);
     for name in ["roof", "roof.pcap", ".mcap", "-"] {
-        let error = McapOutput::create(name.as_ref(), Existing::Keep)
-            .err()
-            .unwrap();
-        assert!(
-            error.to_string().ends_with("a name that ends in .mcap"),
-            "{error}"
-        );
+        let path = name.as_ref();
+        let exported = McapOutput::create(path, Existing::Keep).err();
+        let recorded = begin(path, Rotation::default(), Existing::Keep).err();
+        for error in [exported.unwrap(), recorded.unwrap()] {
+            let text = error.to_string();
+            assert!(text.ends_with("a name that ends in .mcap"), "{text}");
+        }
     }
 }
 

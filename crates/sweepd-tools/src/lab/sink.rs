@@ -3,11 +3,12 @@
 use std::io;
 use std::path::Path;
 
-use sweepd::capture::record::file::{self, Format};
+use sweepd::capture::record::file;
 use sweepd::capture::write::Addressed;
 use sweepd::cli::CliError;
 use sweepd::export::Existing;
 use sweepd::files::output::NewFile;
+use sweepd::files::sequence::{Contents, ending_of};
 
 /// An open capture, with errors that name it.
 pub struct CaptureFile {
@@ -28,14 +29,10 @@ impl CaptureFile {
                 new: None,
             });
         }
-        let format = Format::of(path).ok_or_else(|| {
-            let path = path.display();
-            CliError::Usage(format!(
-                "--pcap {path}: expected a name that ends in .pcap or .pcap.gz, or -"
-            ))
-        })?;
+        let ending = ending_of::<file::CaptureFile>(path)
+            .map_err(|error| CliError::Usage(format!("--pcap {error}, or -")))?;
         let (file, new) = NewFile::create(path, existing)?;
-        let file = file::CaptureFile::over(file, format).map_err(|cause| new.failed(cause))?;
+        let file = file::CaptureFile::begin(file, ending).map_err(|cause| new.failed(cause))?;
         Ok(Self {
             file,
             new: Some(new),
