@@ -6,13 +6,10 @@ use std::path::{Path, PathBuf};
 use sweepd_core::sensor::ModelExt;
 
 use super::{CliError, complain};
-use crate::daemon::config::{Config, RecordConfig, SensorConfig, memory};
+use crate::daemon::config::{Config, RecordConfig, SensorConfig, example, memory};
 use crate::publish::{SHARED_MEMORY, free_bytes, pool_sweeps};
 use crate::text::count_of;
 use sweepd_core::segment::Method;
-
-/// The configuration that systemd/ ships.
-const EXAMPLE: &str = include_str!("../../systemd/sweepd.toml");
 
 /// Options of `sweepd config`.
 #[derive(Debug, clap::Args)]
@@ -45,7 +42,7 @@ Example:
 /// [`CliError::Config`]: a file that cannot be read, or an invalid value.
 pub fn run(args: &Args) -> Result<(), CliError> {
     match &args.command {
-        Command::Example => print(EXAMPLE),
+        Command::Example => print(&example()),
         Command::Check { file } => check(file),
     }
 }

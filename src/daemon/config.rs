@@ -1,7 +1,8 @@
 //! What the daemon is to run: a TOML file, read, checked, and compared with the one before.
 //!
 //! ```text
-//! text -> file, table (keys and types) -> check (values, files, sensors among each other) -> Config -> changes (a reload)
+//! text -> file, table (keys and values) -> check (keys and sensors among each other, files) -> Config -> changes (a reload)
+//! keys, key                        a row for each key: all of these follow it
 //! error                            what is wrong, where, and what was meant
 //! memory                           bytes that it takes
 //! host                             what this host does not have of it
@@ -12,6 +13,8 @@ mod check;
 mod error;
 mod file;
 mod host;
+mod key;
+mod keys;
 pub mod memory;
 mod table;
 
@@ -20,6 +23,7 @@ use std::path::{Path, PathBuf};
 
 pub use changes::{Change, Effect};
 pub use error::{ConfigError, Problems};
+pub use keys::example;
 
 use super::losses::Limits;
 use crate::sensor_settings::Settings;
@@ -30,6 +34,8 @@ use sweepd_core::sensor::{Calibration, Model};
 
 /// Longest file that is read as a configuration, bytes.
 const MAX_FILE_LEN: u64 = 1 << 20;
+/// Where health and metrics are served unless something else is said.
+const HTTP: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 9177);
 
 /// All of a configuration file, checked: nothing in it is impossible.
 #[derive(Clone, Debug)]
@@ -75,7 +81,7 @@ impl Config {
     /// cannot be meant.
     pub fn parse(path: &Path, text: &str) -> Result<Self, ConfigError> {
         let folder = path.parent().unwrap_or(Path::new(""));
-        let config = file::read(text).and_then(|reading| check::check(reading, folder));
+        let config = file::read(text, folder).and_then(|(file, found)| check::check(file, found));
         config.map_err(|problems| Problems::new(path.display().to_string(), text, problems).into())
     }
 }
@@ -89,6 +95,16 @@ pub struct DaemonConfig {
     pub http: Option<SocketAddr>,
     /// Whether they are for everyone who reaches that address, by whatever name.
     pub http_public: bool,
+}
+
+impl Default for DaemonConfig {
+    fn default() -> Self {
+        Self {
+            root: None,
+            http: Some(HTTP),
+            http_public: false,
+        }
+    }
 }
 
 /// One sensor.
@@ -118,6 +134,26 @@ pub struct SensorConfig {
     pub losses: Limits,
     /// How its packets are decoded and its sweeps segmented.
     pub pipeline: pipeline::Config,
+}
+
+/// What is not required; its name and address are none yet.
+impl Default for SensorConfig {
+    fn default() -> Self {
+        Self {
+            name: String::new(),
+            address: Ipv4Addr::UNSPECIFIED.into(),
+            source_port: None,
+            port: PortConfig::default(),
+            // Where a Velodyne sends to unless it is told another.
+            position_port: 8308,
+            max_consumers: 4,
+            objects: ObjectsConfig::default(),
+            dual: None,
+            want: Settings::default(),
+            losses: Limits::default(),
+            pipeline: pipeline::Config::default(),
+        }
+    }
 }
 
 /// How objects are told while the head turns.
@@ -155,8 +191,22 @@ pub struct PortConfig {
     pub realtime_priority: Option<u8>,
 }
 
+impl Default for PortConfig {
+    fn default() -> Self {
+        Self {
+            bind: Ipv4Addr::UNSPECIFIED,
+            // Where a Velodyne sends to unless it is told another.
+            port: 2368,
+            multicast: None,
+            interface: None,
+            cpu: None,
+            realtime_priority: None,
+        }
+    }
+}
+
 /// A recording.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RecordConfig {
     /// The name of its files: `drive-000.pcap` and on for `drive.pcap`, the next free number at
     /// each start.

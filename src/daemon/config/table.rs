@@ -3,20 +3,26 @@
 
 use std::fmt;
 use std::ops::Range;
+use std::path::Path;
 
 use serde::de::Unexpected;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::error::Problem;
+use super::key::Wrong;
 use crate::suggest::suggestion;
 
-/// What is wrong with the form of a file.
-pub struct FormProblems<'a> {
+/// What is wrong with a file.
+pub struct FileProblems<'a> {
     /// The file.
     text: &'a str,
+    /// Its folder.
+    pub folder: &'a Path,
     /// Unknown keys, missing keys and wrong types.
     pub problems: Vec<Problem>,
+    /// Values that cannot be meant.
+    pub values: Vec<Problem>,
     /// Where something was passed over or stands for a required key: further problems of these
     /// places are no news.
     pub replaced: Vec<Range<usize>>,
@@ -24,12 +30,14 @@ pub struct FormProblems<'a> {
     pub warnings: Vec<String>,
 }
 
-impl<'a> FormProblems<'a> {
+impl<'a> FileProblems<'a> {
     /// None so far.
-    pub fn new(text: &'a str) -> Self {
+    pub fn new(text: &'a str, folder: &'a Path) -> Self {
         Self {
             text,
+            folder,
             problems: Vec::new(),
+            values: Vec::new(),
             replaced: Vec::new(),
             warnings: Vec::new(),
         }
@@ -50,11 +58,29 @@ impl<'a> FormProblems<'a> {
         let title = format!("wrong type: {}", Found(value.get_ref()));
         self.add(value.span(), title, format!("expected {expected}"));
     }
+
+    /// Notes what is wrong with the value of a key.
+    pub fn wrong(&mut self, key: &str, value: &Spanned<DeValue<'_>>, wrong: Wrong) {
+        match wrong {
+            Wrong::Type(expected) => self.wrong_type(value, expected),
+            Wrong::Word(words) => {
+                let text = value.get_ref().as_str().unwrap_or_default();
+                self.add(
+                    value.span(),
+                    format!("unknown value `{text}`"),
+                    one_of(&words),
+                );
+            }
+            Wrong::Value(shown, refusal) => {
+                self.values.push(refusal.problem(value.span(), key, &shown));
+            }
+        }
+    }
 }
 
 /// A table whose keys are taken one by one.
 pub struct TableReader<'a, 'p, 't> {
-    problems: &'p mut FormProblems<'a>,
+    problems: &'p mut FileProblems<'a>,
     table: DeTable<'t>,
     span: Range<usize>,
     /// The keys that were asked for: all that there are.
@@ -63,7 +89,7 @@ pub struct TableReader<'a, 'p, 't> {
 
 impl<'a, 'p, 't> TableReader<'a, 'p, 't> {
     /// Reads a table, or notes that it is none.
-    pub fn new(value: Spanned<DeValue<'t>>, problems: &'p mut FormProblems<'a>) -> Option<Self> {
+    pub fn new(value: Spanned<DeValue<'t>>, problems: &'p mut FileProblems<'a>) -> Option<Self> {
         let span = value.span();
         match value.into_inner() {
             DeValue::Table(table) => Some(Self::of(Spanned::new(span, table), problems)),
@@ -75,7 +101,7 @@ impl<'a, 'p, 't> TableReader<'a, 'p, 't> {
     }
 
     /// Reads a table.
-    pub fn of(table: Spanned<DeTable<'t>>, problems: &'p mut FormProblems<'a>) -> Self {
+    pub fn of(table: Spanned<DeTable<'t>>, problems: &'p mut FileProblems<'a>) -> Self {
         let span = table.span();
         Self {
             problems,
@@ -86,7 +112,7 @@ impl<'a, 'p, 't> TableReader<'a, 'p, 't> {
     }
 
     /// Where problems are noted.
-    pub fn problems(&mut self) -> &mut FormProblems<'a> {
+    pub fn problems(&mut self) -> &mut FileProblems<'a> {
         self.problems
     }
 
@@ -109,83 +135,21 @@ impl<'a, 'p, 't> TableReader<'a, 'p, 't> {
         }
     }
 
-    /// The table of a key, to be read by `read`.
-    pub fn table<T>(
-        &mut self,
-        key: &'static str,
-        read: impl FnOnce(TableReader<'a, '_, 't>) -> T,
-    ) -> Option<T> {
+    /// The table of a key.
+    pub fn table(&mut self, key: &'static str) -> Option<TableReader<'a, '_, 't>> {
         let value = self.take(key)?;
-        TableReader::new(value, self.problems).map(read)
+        TableReader::new(value, self.problems)
     }
 
-    /// The value of a key, if `read` can read it.
-    fn value<T>(
-        &mut self,
-        key: &'static str,
-        expected: &str,
-        read: impl FnOnce(&DeValue<'t>) -> Option<T>,
-    ) -> Option<Spanned<T>> {
-        let value = self.take(key)?;
-        let read = read(value.get_ref());
-        if read.is_none() {
-            self.problems.wrong_type(&value, expected);
-        }
-        read.map(|read| Spanned::new(value.span(), read))
+    /// Where it stands.
+    pub fn span(&self) -> Range<usize> {
+        self.span.clone()
     }
 
-    /// A text.
-    pub fn text(&mut self, key: &'static str) -> Option<Spanned<String>> {
-        self.value(key, "a string", |value| value.as_str().map(str::to_owned))
-    }
-
-    /// A text that must be there. Where it is not, that is noted, and an empty one stands for it.
-    pub fn required_text(&mut self, key: &'static str) -> Spanned<String> {
-        let written = self.table.get(key).map(Spanned::span);
-        if let Some(text) = self.text(key) {
-            return text;
-        }
-        let at = written.unwrap_or_else(|| {
-            let title = format!("missing key `{key}`");
-            self.problems.add(self.span.clone(), title, String::new());
-            self.span.clone()
-        });
-        Spanned::new(at, String::new())
-    }
-
-    /// True or false; false where the key is missing.
-    pub fn flag(&mut self, key: &'static str) -> bool {
-        let flag = self.value(key, "a boolean", |value| value.as_bool());
-        flag.is_some_and(Spanned::into_inner)
-    }
-
-    /// A whole number.
-    pub fn whole(&mut self, key: &'static str) -> Option<Spanned<i64>> {
-        self.value(key, "a whole number", whole)
-    }
-
-    /// A number, with a fraction or without.
-    pub fn number(&mut self, key: &'static str) -> Option<Spanned<f64>> {
-        self.value(key, "a number", |value| match value {
-            DeValue::Float(float) => finite_or_written(float.as_str()),
-            _ => whole(value).map(|number| number as f64),
-        })
-    }
-
-    /// One of several words.
-    pub fn choice<T: Copy>(
-        &mut self,
-        key: &'static str,
-        choices: &[(&str, T)],
-    ) -> Option<Spanned<T>> {
-        let word = self.text(key)?;
-        let chosen = choices.iter().find(|(name, _)| name == word.get_ref());
-        if chosen.is_none() {
-            let title = format!("unknown value `{}`", word.get_ref());
-            let names: Vec<&str> = choices.iter().map(|(name, _)| *name).collect();
-            self.problems.add(word.span(), title, one_of(&names));
-        }
-        chosen.map(|&(_, value)| Spanned::new(word.span(), value))
+    /// Notes that a key is missing.
+    pub fn missing(&mut self, key: &str) {
+        let title = format!("missing key `{key}`");
+        self.problems.add(self.span.clone(), title, String::new());
     }
 
     /// Notes all keys that were not asked for.
@@ -195,17 +159,6 @@ impl<'a, 'p, 't> TableReader<'a, 'p, 't> {
             self.problems.add(key.span(), title, one_of(&self.known));
         }
     }
-}
-
-fn whole(value: &DeValue<'_>) -> Option<i64> {
-    let integer = value.as_integer()?;
-    i64::from_str_radix(integer.as_str(), integer.radix()).ok()
-}
-
-/// A number that is infinite only if it is written so.
-fn finite_or_written(text: &str) -> Option<f64> {
-    let number: f64 = text.parse().ok()?;
-    (!number.is_infinite() || text.contains("inf")).then_some(number)
 }
 
 /// `expected one of `a`, `b``, or in the words for one and two.

@@ -863,6 +863,19 @@ fn example_switched_on() -> String {
 }
 
 #[test]
+fn the_example_that_systemd_ships_is_what_the_rows_say() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/systemd/sweepd.toml");
+    if std::env::var_os("SWEEPD_WRITE_PAGES").is_some() {
+        std::fs::write(path, example()).unwrap();
+    }
+    assert_eq!(
+        std::fs::read_to_string(path).unwrap(),
+        example(),
+        "SWEEPD_WRITE_PAGES=1 cargo test -p sweepd --lib systemd_ships writes it"
+    );
+}
+
+#[test]
 fn the_example_names_every_key_with_a_value_that_can_be() {
     good(EXAMPLE);
     for setting in SETTINGS {

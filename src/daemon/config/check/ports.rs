@@ -1,59 +1,33 @@
 //! Sensors among each other: told apart on the ports that they share, and at one about these.
 
-use std::fmt::Debug;
-use std::ops::Range;
-
-use toml::Spanned;
-
-use super::{Check, Checked};
+use super::Check;
+use crate::daemon::config::SensorConfig;
 use crate::daemon::config::error::Problem;
-use crate::daemon::config::{PortConfig, file};
+use crate::daemon::config::file::Written;
+use crate::daemon::config::key::Key;
+use crate::daemon::config::keys::SENSOR;
 
-/// Where a setting stands, if it does.
-type SpanOf = fn(&file::Sensor) -> Option<Range<usize>>;
+/// Keys of a port: of its socket and its thread.
+const OF_THE_PORT: [&str; 5] = ["bind", "multicast", "interface", "cpu", "realtime_priority"];
 
-fn place<T>(given: &Option<Spanned<T>>) -> Option<Range<usize>> {
-    given.as_ref().map(Spanned::span)
-}
+type Sensors<'a, 't> = &'a mut [Written<'t, SensorConfig>];
 
 impl Check<'_> {
     /// Sensors on one port share its socket and its thread: what one of them says of these holds
     /// for all, and no two may say different things.
-    pub(super) fn ports(&mut self, sensors: &mut [Checked<'_>]) {
+    pub(super) fn ports(&mut self, sensors: Sensors<'_, '_>) {
         self.sources_differ(sensors);
-        self.agree(
-            sensors,
-            "bind",
-            |sensor| place(&sensor.bind),
-            |port| &mut port.bind,
-        );
-        self.agree(
-            sensors,
-            "multicast",
-            |sensor| place(&sensor.multicast),
-            |port| &mut port.multicast,
-        );
-        self.agree(
-            sensors,
-            "interface",
-            |sensor| place(&sensor.interface),
-            |port| &mut port.interface,
-        );
-        self.agree(
-            sensors,
-            "cpu",
-            |sensor| place(&sensor.cpu),
-            |port| &mut port.cpu,
-        );
-        let priority: SpanOf = |sensor| place(&sensor.realtime_priority);
-        self.agree(sensors, "realtime_priority", priority, |port| {
-            &mut port.realtime_priority
-        });
+        for key in SENSOR.keys {
+            if OF_THE_PORT.contains(&key.name) {
+                self.agree(sensors, key);
+            }
+        }
     }
 
-    fn sources_differ(&mut self, sensors: &[Checked<'_>]) {
-        for (number, Checked { written, config }) in sensors.iter().enumerate() {
-            let is_same = |other: &&Checked<'_>| {
+    fn sources_differ(&mut self, sensors: Sensors<'_, '_>) {
+        for (number, sensor) in sensors.iter().enumerate() {
+            let config = &sensor.config;
+            let is_same = |other: &&Written<'_, SensorConfig>| {
                 let ports = (config.source_port, other.config.source_port);
                 other.config.port.port == config.port.port
                     && other.config.address == config.address
@@ -66,49 +40,41 @@ impl Check<'_> {
                     "`{}` cannot be told from `{name}`: the same address and port {port}",
                     config.name
                 );
-                let problem = Problem::new(written.address.span(), title, "expected another address")
-                    .with_other(other.written.address.span(), format!("the address of `{name}`"))
+                let problem = Problem::new(sensor.place("address"), title, "expected another address")
+                    .with_other(other.place("address"), format!("the address of `{name}`"))
                     .with_cure("give each sensor a destination port of its own, or name their source ports, IP:PORT");
                 self.problems.push(problem);
             }
         }
     }
 
-    fn agree<T: PartialEq + Clone + Debug>(
-        &mut self,
-        sensors: &mut [Checked<'_>],
-        key: &str,
-        place: SpanOf,
-        setting: fn(&mut PortConfig) -> &mut T,
-    ) {
+    fn agree(&mut self, sensors: Sensors<'_, '_>, key: &Key<SensorConfig>) {
         for number in 0..sensors.len() {
             let port = sensors[number].config.port.port;
-            let says = |other: &Checked<'_>| {
-                other.config.port.port == port && place(other.written).is_some()
+            let says = |other: &Written<'_, SensorConfig>| {
+                other.config.port.port == port && other.given("", key.name).is_some()
             };
             let Some(first) = sensors.iter().position(says) else {
                 continue;
             };
-            let held = setting(&mut sensors[first].config.port).clone();
-            let own = place(sensors[number].written);
-            let Checked { config, .. } = &mut sensors[number];
-            let value = setting(&mut config.port);
-            match own {
-                Some(at) if *value != held => {
-                    let title = format!("sensors on port {port} do not agree about `{key}`");
-                    let first = &sensors[first];
+            let Ok([sensor, first]) = sensors.get_disjoint_mut([number, first]) else {
+                continue;
+            };
+            let says_nothing = sensor.given("", key.name).is_none();
+            for rule in key.rules {
+                if says_nothing {
+                    (rule.take)(&mut sensor.config, &first.config);
+                } else if !(rule.is_same)(&sensor.config, &first.config) {
+                    let title = format!("sensors on port {port} do not agree about `{}`", key.name);
                     let problem = Problem::new(
-                        at,
+                        sensor.place(key.name),
                         title,
                         "a port has one socket and one thread: leave this out",
-                    )
-                    .with_other(
-                        place(first.written).unwrap_or(0..0),
-                        format!("`{}` says this", first.config.name),
                     );
-                    self.problems.push(problem);
+                    let who = format!("`{}` says this", first.config.name);
+                    self.problems
+                        .push(problem.with_other(first.place(key.name), who));
                 }
-                _ => *value = held,
             }
         }
     }
