@@ -132,3 +132,108 @@ impl SteadyTime {
         self.now_ns
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::convert::Infallible;
+    use sweepd_core::wire::position::POSITION_PACKET_LEN;
+    use sweepd_core::wire::{Content, DataPacket, Datagram};
+
+    /// Writes down what it gets.
+    #[derive(Default)]
+    struct Log {
+        taken: String,
+        times_ns: Vec<i64>,
+        sweeps: usize,
+    }
+
+    impl Stream for Log {
+        type Sweep = String;
+
+        fn take(&mut self, packet: Option<&Packet<'_>>, _: &Placed<'_>) {
+            self.taken += match packet.map(|packet| packet.content) {
+                Some(Content::Data(_)) => "d",
+                Some(Content::Position(..)) => "p",
+                None => "x",
+            };
+        }
+
+        fn idle(&mut self, time: SteadyTime) {
+            self.times_ns.push(time.now_ns);
+        }
+
+        fn end(&mut self) {
+            self.taken += ".";
+        }
+
+        fn next_sweep(&mut self) -> Option<String> {
+            self.sweeps = self.sweeps.checked_sub(1)?;
+            Some(self.taken.clone())
+        }
+    }
+
+    fn begin(_: usize, _: &Sender) -> Result<Log, Infallible> {
+        Ok(Log::default())
+    }
+
+    fn take(streams: &mut Streams<Log>, arrival_ns: i64, source: &str, payload: &[u8]) -> bool {
+        let datagram = Datagram {
+            arrival_ns,
+            source: source.parse().unwrap(),
+            destination_port: 2368,
+            payload,
+        };
+        let Ok(admitted) = streams.take(&datagram.into(), begin);
+        admitted.is_ok()
+    }
+
+    #[test]
+    fn each_sensor_gets_its_packets_and_the_position_from_before_its_first() {
+        let (packet, position) = (DataPacket::new(0, 0x37, 0x22), [0; POSITION_PACKET_LEN]);
+        let mut broken = packet;
+        broken.blocks[7].flag.set(0x1234);
+        let mut streams = Streams::new(Vec::new());
+        for (source, payload, is_admitted) in [
+            ("10.0.0.1:8308", &position[..], true),
+            ("10.0.0.1:2368", packet.emit(), true),
+            ("10.0.0.2:2368", packet.emit(), true),
+            ("10.0.0.1:2368", broken.emit(), false),
+            ("10.0.0.3:2368", broken.emit(), false),
+            ("10.0.0.2:8308", &position, true),
+            ("10.0.0.1:2368", b"other", false),
+        ] {
+            let admitted = take(&mut streams, 0, source, payload);
+            assert_eq!(admitted, is_admitted, "{source}");
+        }
+        streams.end();
+        let taken: Vec<&str> = streams.all.iter().map(|log| &log.taken[..]).collect();
+        assert_eq!(taken, ["pdx.", "dp."]);
+        assert_eq!(streams.sensors.refusals().total(), 3);
+    }
+
+    #[test]
+    fn a_single_late_time_does_not_count() {
+        let packet = DataPacket::new(0, 0x37, 0x22);
+        let mut streams = Streams::new(Vec::new());
+        for arrival_ns in [5, 6, 99, 7, 98, 99] {
+            take(&mut streams, arrival_ns, "10.0.0.1:2368", packet.emit());
+        }
+        assert_eq!(streams.all[0].times_ns, [5, 6, 7, 7, 98]);
+    }
+
+    #[test]
+    fn sweeps_that_silence_closed_come_first_and_without_the_next_packet() {
+        let packet = DataPacket::new(0, 0x37, 0x22);
+        let mut streams = Streams::new(Vec::new());
+        for source in ["10.0.0.1:2368", "10.0.0.2:2368"] {
+            take(&mut streams, 0, source, packet.emit());
+        }
+        streams.all[1].sweeps = 2;
+        take(&mut streams, 1, "10.0.0.2:2368", packet.emit());
+        streams.all[0].sweeps = 1;
+        streams.all[1].sweeps = 1;
+        let sweeps: Vec<String> = std::iter::from_fn(|| streams.next_sweep()).collect();
+        assert_eq!(sweeps, ["d", "d", "d", "dd"]);
+    }
+}

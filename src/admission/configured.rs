@@ -96,14 +96,12 @@ impl ConfiguredSensors {
     /// source port than the data. Of several sensors, the one that fits best gets it, unless
     /// another fits as well.
     fn position(&self, source: SocketAddr) -> Result<SensorSet, Refusal> {
-        let mut route = SensorSet::default();
         let mut at = self.at(source.ip());
         let Some((first, _)) = at.next() else {
             return Err(Refusal::Source);
         };
         if at.next().is_none() {
-            route.insert(first);
-            return Ok(route);
+            return Ok(Some(first).into());
         }
         let is_named = self
             .at(source.ip())
@@ -122,10 +120,8 @@ impl ConfiguredSensors {
                 best = Some((fit, place));
             }
         }
-        if let Some((_, place)) = best.filter(|_| is_alone) {
-            route.insert(place);
-        }
-        Ok(route)
+        let best = best.filter(|_| is_alone);
+        Ok(best.map(|(_, place)| place).into())
     }
 
     /// The sensors at an address, with their places.

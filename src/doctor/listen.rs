@@ -89,10 +89,8 @@ pub fn listen(
                     .flatten()
                     .flat_map(|one| &mut one.streams.all)
                 {
-                    let ObservedSensor {
-                        source, port: to, ..
-                    } = sensor.observed;
-                    if source.ip() == address.to_canonical() && to != port {
+                    let observed = &sensor.observed;
+                    if observed.source.ip() == address.to_canonical() && observed.port != port {
                         sensor.push(&packet);
                     }
                 }
@@ -155,12 +153,8 @@ impl Listener {
         for datagram in self.source.receive(TURN)? {
             let placed = Placed::from(datagram);
             // The usual segmentation, which a sensor asks for, is possible.
-            let Ok(admitted) = self.streams.take(&placed, DecodedSensor::new) else {
-                continue;
-            };
-            match admitted {
-                Ok((Route::Data(_), _)) => {}
-                Ok((Route::Position(_), packet)) => {
+            match self.streams.take(&placed, DecodedSensor::new) {
+                Ok(Ok((Route::Position(_), packet))) => {
                     let address = datagram.source.ip();
                     note_position(positions, address, &packet);
                     if let Some(packet) = packet.without_sentence() {
@@ -168,8 +162,10 @@ impl Listener {
                     }
                 }
                 // A sensor beyond the most that are distinguished does not count as another sender.
-                Err(refused) if refused.reason == Refusal::TooMany => {}
-                Err(_) => note_other(&mut self.others, datagram.source),
+                Ok(Err(refused)) if refused.reason != Refusal::TooMany => {
+                    note_other(&mut self.others, datagram.source);
+                }
+                _ => {}
             }
         }
         Ok(for_sensors)

@@ -303,9 +303,9 @@ impl Player {
     /// Says how it is.
     fn tell(&self) {
         let trouble = self.reader.as_ref().and_then(Reader::trouble);
-        let trouble = self.lost.as_deref().or(trouble);
-        let words = match (trouble, self.shown, self.wanted) {
-            (Some(trouble), None, _) => trouble.to_owned(),
+        let trouble = self.lost.clone().or(trouble);
+        let words = match (&trouble, self.shown, self.wanted) {
+            (Some(trouble), None, _) => trouble.clone(),
             (Some(trouble), Some(_), _) => format!("{trouble}; what came before can be looked at"),
             (None, _, Some(index)) => format!("looking for sweep {index}, at {}", self.next),
             (None, None, None) => "there is no whole sweep in it".to_owned(),

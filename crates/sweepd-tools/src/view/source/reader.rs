@@ -14,7 +14,7 @@ use sweepd::streams::{SteadyTime, Stream, Streams};
 use sweepd_client::host::monotonic_ns;
 use sweepd_core::buffers::HeapBuffer;
 use sweepd_core::buffers::{HeapBuffers, Memory};
-use sweepd_core::pipeline::{Arrival, Config, Event, Options, Pipeline, TimedSegmenter};
+use sweepd_core::pipeline::{Arrival, Config, Event, Fault, Options, Pipeline, TimedSegmenter};
 use sweepd_core::segment::{ConfigError, Segmenter};
 use sweepd_core::sweep::layout::flags;
 use sweepd_core::sweep::{SweepMut, SweepRef};
@@ -75,7 +75,7 @@ struct Track {
     pipeline: Pipeline,
     memory: Memory<HeapBuffers>,
     sweeps: u64,
-    fault: Option<String>,
+    fault: Option<Fault>,
 }
 
 impl Reader {
@@ -104,10 +104,11 @@ impl Reader {
     }
 
     /// Why it ended before its end, or why sweeps of a sensor are missing.
-    pub(super) fn trouble(&self) -> Option<&str> {
-        let tracks = self.streams.all.iter();
-        let mut faults = tracks.filter_map(|track| track.fault.as_deref());
-        self.broken.as_deref().or_else(|| faults.next())
+    pub(super) fn trouble(&self) -> Option<String> {
+        let tracks = &self.streams.all;
+        let fault = tracks.iter().find_map(|track| track.fault.as_ref());
+        let told = fault.map(|fault| explain(fault, Dialect::CommandLine));
+        self.broken.clone().or(told)
     }
 
     /// Takes a datagram, or gives a sweep.
@@ -187,7 +188,7 @@ impl Stream for Track {
             let buffer = match self.pipeline.poll(&mut self.memory)? {
                 Event::Sweep(buffer) => buffer,
                 Event::Fault(fault) => {
-                    self.fault = Some(explain(&fault, Dialect::CommandLine));
+                    self.fault = Some(fault);
                     continue;
                 }
                 Event::Objects(_) | Event::Notice(_) => continue,
