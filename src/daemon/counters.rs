@@ -169,7 +169,7 @@ pub struct SensorCounters {
     pub lost: Counter,
     /// Packets that were put back in order.
     pub reordered: Counter,
-    /// Packets admitted but not decoded: see [`SensorCounters::UNDECODED`] for the reasons.
+    /// Packets admitted but not decoded, by the reasons of [`SensorCounters::UNDECODED`].
     undecoded: [Counter; 6],
     /// Those of the late ones that showed that the sensor's clock was set back.
     set_back: Counter,
@@ -212,7 +212,7 @@ const TEMPERATURE_BIAS: i32 = 1_000;
 
 impl SensorCounters {
     /// Reasons why admitted packets are not decoded, in the order of [`SensorCounters::undecoded`].
-    pub const UNDECODED: [&'static str; 6] = [
+    const UNDECODED: [&'static str; 6] = [
         "malformed",
         "duplicate",
         "late",
@@ -403,6 +403,12 @@ impl PortCounters {
     /// How many datagrams reached no sensor for a reason.
     pub fn refused(&self, reason: Refusal) -> u64 {
         self.refused[reason as usize].get()
+    }
+
+    /// How many datagrams reached no sensor, by reason.
+    pub fn rejected(&self) -> impl Iterator<Item = (&'static str, u64)> {
+        let reasons = Refusal::OF_CONFIGURED.into_iter();
+        reasons.map(|reason| (reason.name(), self.refused(reason)))
     }
 }
 

@@ -1,6 +1,5 @@
 //! How the daemon is: every sensor and port, with reasons, as `/health` has it.
 
-use crate::admission::Refusal;
 use crate::beams;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -9,7 +8,8 @@ use std::time::Instant;
 use serde_json::{Value, json};
 
 use super::losses::Recent;
-use super::record::{RecordingStatus, RecordingsStatus};
+use super::numbers;
+use super::record::RecordingsStatus;
 use super::runtime::{PortStatus, SensorStatus};
 use super::state::{Condition, State};
 use sweepd_core::wire::data::ReturnMode;
@@ -150,8 +150,8 @@ impl View {
             "root": self.root,
             "sensors": sensors,
             "ports": ports,
-            "recording": self.recordings.configured.as_ref().map(recording),
-            "asked_recordings": self.recordings.on_demand.iter().map(recording).collect::<Vec<_>>(),
+            "recording": self.recordings.configured,
+            "asked_recordings": self.recordings.on_demand,
         });
         (is_well, report)
     }
@@ -168,11 +168,7 @@ pub(super) fn interface_gone(port: &PortStatus) -> String {
 
 fn sensor(sensor: &SensorStatus, is: &Condition) -> Value {
     let counters = &sensor.counters;
-    let undecoded: serde_json::Map<String, Value> = counters
-        .undecoded()
-        .map(|(reason, count)| (reason.to_owned(), count.into()))
-        .collect();
-    json!({
+    let mut report = json!({
         "name": sensor.name,
         "state": is.state.name(),
         "reason": is.complaint,
@@ -187,80 +183,34 @@ fn sensor(sensor: &SensorStatus, is: &Condition) -> Value {
         "temperature_c": counters.temperature_c(),
         "gps": counters.gps().map(|gps| gps.word()),
         "dark_beams": beams::json(&counters.dark_beams()),
-        "packets": counters.data.get(),
-        "position_packets": counters.position.get(),
-        "refused": counters.refused.get(),
-        "lost": counters.lost.get(),
-        "reordered": counters.reordered.get(),
-        "undecoded": undecoded,
-        "sweeps": counters.sweeps.get(),
-        "partial_sweeps": counters.partial_sweeps.get(),
-        "unshared_sweeps": counters.unshared.get(),
-        "consumers": sensor.sharing.consumers(),
         "shared_bytes": sensor.sharing.reserved_bytes(),
         "sharing_trouble": sensor.sharing.trouble(),
-        "renewed": sensor.sharing.renewed(),
         "renewed_because": sensor.sharing.renewed_because(),
-    })
+    });
+    numbers::report(numbers::OF_SENSOR, sensor, &mut report);
+    report
 }
 
 /// Losses of a sensor over the last seconds.
 fn losses(recent: Recent, words: Option<&[String; 2]>) -> Value {
-    let Recent { span, counted } = recent;
-    json!({
-        "seconds": span.as_secs_f64(),
-        "percent": 100.0 * recent.share(),
-        "packets": counted.data,
-        "lost": counted.lost,
-        "late": counted.late,
-        "unconfirmed": counted.unconfirmed,
-        "other_product": counted.other_product,
-        "malformed": counted.malformed,
-        "refused": counted.refused,
-        "dropped_on_port": counted.dropped,
-        "strangers_on_port": counted.strangers,
-        "what": words.map(|[what, _]| what),
-        "cure": words.map(|[_, cure]| cure),
-    })
+    let mut report = json!(recent.counted);
+    report["seconds"] = recent.span.as_secs_f64().into();
+    report["percent"] = (100.0 * recent.share()).into();
+    report["what"] = json!(words.map(|[what, _]| what));
+    report["cure"] = json!(words.map(|[_, cure]| cure));
+    report
 }
 
 fn port(port: &PortStatus, hangs: bool) -> Value {
-    let counters = &port.counters;
-    let rejected: serde_json::Map<String, Value> = Refusal::OF_CONFIGURED
-        .into_iter()
-        .map(|reason| (reason.name().to_owned(), counters.refused(reason).into()))
-        .collect();
-    json!({
+    let mut report = json!({
         "name": port.name,
         "address": port.local.ip(),
         "port": port.local.port(),
         "interface": port.interface,
         "hangs": hangs,
-        "received": counters.received.get(),
-        "dropped": counters.dropped.get(),
-        "rejected": rejected,
         "buffer_bytes": port.buffer.granted_bytes,
         "buffer_bytes_wanted": port.buffer.wanted_bytes,
-    })
-}
-
-fn recording(recording: &RecordingStatus) -> Value {
-    let RecordingStatus {
-        sensor,
-        path,
-        files,
-        datagrams,
-        refused,
-        retries,
-        trouble,
-    } = recording;
-    json!({
-        "sensor": sensor,
-        "path": path,
-        "files": files,
-        "datagrams": datagrams,
-        "refused": refused,
-        "retries": retries,
-        "trouble": trouble,
-    })
+    });
+    numbers::report(numbers::OF_PORT, port, &mut report);
+    report
 }

@@ -10,6 +10,8 @@ use std::collections::VecDeque;
 use std::fmt;
 use std::time::Duration;
 
+use serde::Serialize;
+
 /// How far back is looked.
 pub const WINDOW: Duration = Duration::from_secs(5);
 /// A shorter time says nothing yet.
@@ -53,9 +55,10 @@ pub enum Level {
 }
 
 /// Counts of a sensor and its port at a moment. They never decrease.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Tally {
     /// Data packets let in.
+    #[serde(rename = "packets")]
     pub data: u64,
     /// Data packets missing by the sensor's clock.
     pub lost: u64,
@@ -70,8 +73,10 @@ pub struct Tally {
     /// Datagrams from the sensor's address to its data port that are not packets of a sensor.
     pub refused: u64,
     /// Datagrams that the kernel dropped on the port, of any sender.
+    #[serde(rename = "dropped_on_port")]
     pub dropped: u64,
     /// Datagrams on the port that are not of a sensor configured there.
+    #[serde(rename = "strangers_on_port")]
     pub strangers: u64,
 }
 

@@ -1,9 +1,7 @@
 //! The counters as Prometheus metrics: names, labels, units. Without state; each request reads the
 //! atomics.
 
-use crate::admission::Refusal;
 use std::fmt;
-use std::iter::once;
 use std::sync::Arc;
 
 use prometheus_client::collector::Collector;
@@ -13,12 +11,15 @@ use prometheus_client::encoding::{
 use prometheus_client::metrics::MetricType;
 use prometheus_client::registry::{Registry, Unit};
 
-use super::counters::{Gps, SensorCounters, Stage};
+use super::counters::{Gps, Stage};
 use super::health::View;
+use super::numbers::{Number, OF_PORT, OF_SENSOR, Read};
 use super::record::RecordingsStatus;
 use super::runtime::{PortStatus, SensorStatus};
 use super::state::{Condition, State};
 use sweepd_core::pipeline::DarkBeam;
+
+use Metric::{Now, Total};
 
 /// What [`encode`] writes.
 pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -59,131 +60,47 @@ impl fmt::Debug for Snapshot {
     }
 }
 
-type Labels<'a, const N: usize> = [(&'static str, &'a str); N];
+type Labels<'a> = Vec<(&'static str, &'a str)>;
 
-/// A number that only grows.
+/// A metric's value.
 #[derive(Debug)]
-struct Total(u64);
-
-/// A gauge.
-#[derive(Debug)]
-struct Now(f64);
-
-impl EncodeMetric for Total {
-    fn encode(&self, mut encoder: MetricEncoder<'_>) -> fmt::Result {
-        encoder.encode_counter::<NoLabelSet, _, u64>(&self.0, None)
-    }
-
-    fn metric_type(&self) -> MetricType {
-        MetricType::Counter
-    }
+enum Metric {
+    /// A number that only grows.
+    Total(u64),
+    /// A gauge.
+    Now(f64),
 }
 
-impl EncodeMetric for Now {
+impl EncodeMetric for Metric {
     fn encode(&self, mut encoder: MetricEncoder<'_>) -> fmt::Result {
-        encoder.encode_gauge(&self.0)
+        match self {
+            Self::Total(total) => encoder.encode_counter::<NoLabelSet, _, u64>(total, None),
+            Self::Now(now) => encoder.encode_gauge(now),
+        }
     }
 
     fn metric_type(&self) -> MetricType {
-        MetricType::Gauge
+        match self {
+            Self::Total(_) => MetricType::Counter,
+            Self::Now(_) => MetricType::Gauge,
+        }
     }
 }
 
 impl Collector for Snapshot {
     fn encode(&self, mut encoder: DescriptorEncoder<'_>) -> fmt::Result {
-        self.sensor_totals(&mut encoder)?;
-        self.port_totals(&mut encoder)?;
-        self.recordings(&mut encoder)?;
-        self.gauges(&mut encoder)?;
-        self.stages(&mut encoder)
+        let to = &mut encoder;
+        numbers(to, OF_SENSOR, &self.sensors, sensor_label)?;
+        numbers(to, OF_PORT, &self.ports, port_label)?;
+        self.recordings(to)?;
+        self.gauges(to)?;
+        self.losses_and_states(to)?;
+        self.stages(to)
     }
 }
 
 impl Snapshot {
-    /// One metric of each sensor that has it.
-    fn by_sensor<M: EncodeMetric>(
-        &self,
-        encoder: &mut DescriptorEncoder<'_>,
-        name: &str,
-        help: &str,
-        read: impl Fn(&SensorStatus) -> Option<M>,
-    ) -> fmt::Result {
-        self.by_sensor_in(encoder, name, help, None, read)
-    }
-
-    fn by_sensor_in<M: EncodeMetric>(
-        &self,
-        encoder: &mut DescriptorEncoder<'_>,
-        name: &str,
-        help: &str,
-        unit: Option<&Unit>,
-        read: impl Fn(&SensorStatus) -> Option<M>,
-    ) -> fmt::Result {
-        let sensors = self.sensors.iter();
-        let metrics = sensors.filter_map(|one| Some(([("sensor", name_of(one))], read(one)?)));
-        family_in(encoder, name, help, unit, metrics)
-    }
-
-    /// One counter of all sensors.
-    fn total(
-        &self,
-        encoder: &mut DescriptorEncoder<'_>,
-        name: &str,
-        help: &str,
-        read: fn(&SensorCounters) -> u64,
-    ) -> fmt::Result {
-        self.by_sensor(encoder, name, help, |one| Some(Total(read(&one.counters))))
-    }
-
-    fn sensor_totals(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
-        self.total(encoder, "packets", "Data packets let in", |of| {
-            of.data.get()
-        })?;
-        let help = "Position packets let in";
-        self.total(encoder, "position_packets", help, |of| of.position.get())?;
-        let help = "Position packets that found no room on the way to their sensor's thread";
-        self.total(encoder, "position_overflows", help, |of| {
-            of.position_overflows.get()
-        })?;
-        let help = "Datagrams from the sensor's address to its data port that are no packets";
-        self.total(encoder, "refused", help, |of| of.refused.get())?;
-        let help = "Data packets missing by the sensor's clock";
-        self.total(encoder, "lost", help, |of| of.lost.get())?;
-        let help = "Data packets put back in order";
-        self.total(encoder, "reordered", help, |of| of.reordered.get())?;
-        let help = "Sweeps, partial ones included";
-        self.total(encoder, "sweeps", help, |of| of.sweeps.get())?;
-        let help = "Sweeps that are not from cut to cut";
-        self.total(encoder, "partial_sweeps", help, |of| {
-            of.partial_sweeps.get()
-        })?;
-        let help = "Sweeps that were not shared";
-        self.total(encoder, "unshared_sweeps", help, |of| of.unshared.get())?;
-        let help = "Times that shared memory was made anew because files of it were deleted";
-        self.by_sensor(encoder, "renewed", help, |one| {
-            Some(Total(one.sharing.renewed()))
-        })?;
-        let help = "Data packets let in and not decoded, by reason";
-        let by_reason = self.sensors.iter().flat_map(undecoded);
-        family(encoder, "undecoded", help, by_reason)
-    }
-
-    fn port_totals(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
-        let help = "Datagrams of any kind";
-        let ports = self.ports.iter();
-        let received = ports.map(|one| (port_label(one), Total(one.counters.received.get())));
-        family(encoder, "received", help, received)?;
-        let help =
-            "Datagrams that the kernel dropped because the daemon did not fetch them in time";
-        let ports = self.ports.iter();
-        let dropped = ports.map(|one| (port_label(one), Total(one.counters.dropped.get())));
-        family(encoder, "dropped", help, dropped)?;
-        let help = "Datagrams that reach no sensor, by reason";
-        let by_reason = self.ports.iter().flat_map(rejected);
-        family(encoder, "rejected", help, by_reason)
-    }
-
-    fn recordings(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
+    fn recordings(&self, to: &mut DescriptorEncoder<'_>) -> fmt::Result {
         let RecordingsStatus {
             configured,
             on_demand,
@@ -193,89 +110,89 @@ impl Snapshot {
         let unwritten = "Datagrams that found no room, since the disk is too slow or failed";
         if let Some(one) = configured {
             let help = "Datagrams written by [record]";
-            single(encoder, "recorded", help, Total(one.datagrams))?;
-            single(encoder, "unrecorded", unwritten, Total(one.refused))?;
+            single(to, "recorded", help, Total(one.datagrams))?;
+            single(to, "unrecorded", unwritten, Total(one.refused))?;
             let help = "Attempts to begin a recording again that has failed";
-            single(encoder, "recording_retries", help, Total(one.retries))?;
+            single(to, "recording_retries", help, Total(one.retries))?;
             let help = "1 while nothing is recorded, though it should be";
             let has_failed = u8::from(one.trouble.is_some());
-            single(encoder, "recording_failed", help, Now(has_failed.into()))?;
+            single(to, "recording_failed", help, Now(has_failed.into()))?;
         }
         let help = "Recordings under way for sweepd record --from";
-        single(
-            encoder,
-            "asked_recordings",
-            help,
-            Now(on_demand.len() as f64),
-        )?;
+        single(to, "asked_recordings", help, Now(on_demand.len() as f64))?;
         let help = "Datagrams written for sweepd record --from";
-        single(encoder, "asked_recorded", help, Total(*on_demand_datagrams))?;
-        single(
-            encoder,
-            "asked_unrecorded",
-            unwritten,
-            Total(*on_demand_refused),
-        )
+        single(to, "asked_recorded", help, Total(*on_demand_datagrams))?;
+        single(to, "asked_unrecorded", unwritten, Total(*on_demand_refused))
     }
 
-    fn gauges(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
-        self.by_sensor(encoder, "consumers", "Consumers connected", |one| {
-            Some(Now(one.sharing.consumers() as f64))
-        })?;
+    /// A gauge of the sensors that have it.
+    fn gauge(
+        &self,
+        to: &mut DescriptorEncoder<'_>,
+        name: &str,
+        help: &str,
+        unit: Option<&Unit>,
+        read: fn(&SensorStatus) -> Option<f64>,
+    ) -> fmt::Result {
+        let sensors = self.sensors.iter();
+        let found = sensors.filter_map(|one| Some((sensor_label(one), Now(read(one)?))));
+        family(to, name, help, unit, found)
+    }
+
+    /// What `/health` says in other words than with a number of this name.
+    fn gauges(&self, to: &mut DescriptorEncoder<'_>) -> fmt::Result {
         let help = "Shared memory reserved";
-        self.by_sensor_in(encoder, "shared_memory", help, Some(&Unit::Bytes), |one| {
-            Some(Now(one.sharing.reserved_bytes() as f64))
+        self.gauge(to, "shared_memory", help, Some(&Unit::Bytes), |one| {
+            Some(one.sharing.reserved_bytes() as f64)
         })?;
         let help = "Turns a minute of the newest sweep";
-        self.by_sensor(encoder, "rpm", help, |one| {
+        self.gauge(to, "rpm", help, None, |one| {
             let model = one.counters.model();
-            model.map(|_| Now(one.counters.rpm().into()))
+            model.map(|_| one.counters.rpm().into())
         })?;
         let help = "Temperature that the sensor tells";
-        self.by_sensor_in(encoder, "temperature", help, Some(&Unit::Celsius), |one| {
-            let celsius = one.counters.temperature_c()?;
-            Some(Now(celsius.into()))
+        self.gauge(to, "temperature", help, Some(&Unit::Celsius), |one| {
+            one.counters.temperature_c().map(f64::from)
         })?;
         let help = "1 while pulse and time of a GPS receiver are good, where it is told";
-        self.by_sensor(encoder, "gps_locked", help, |one| {
+        self.gauge(to, "gps_locked", help, None, |one| {
             let is_locked = one.counters.gps()? == Gps::Locked;
-            Some(Now(u8::from(is_locked).into()))
+            Some(u8::from(is_locked).into())
         })?;
         let help = "Beams that have not returned for 1000 turns, though those next to them have";
-        self.by_sensor(encoder, "dark_beams", help, |one| {
+        self.gauge(to, "dark_beams", help, None, |one| {
             let mut dark = one.counters.dark_beams();
             dark.retain(DarkBeam::is_warning);
-            Some(Now(dark.len() as f64))
-        })?;
-        self.losses_and_states(encoder)
+            Some(dark.len() as f64)
+        })
     }
 
-    fn losses_and_states(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
+    fn losses_and_states(&self, to: &mut DescriptorEncoder<'_>) -> fmt::Result {
         let help = "Share of the data packets of the last seconds that were lost or of no use, 0 to 1, while packets come";
         let sensors = self.sensors.iter().zip(&self.conditions);
         let shares = sensors.filter_map(|(sensor, condition)| {
             let recent = condition.recent?;
-            Some(([("sensor", name_of(sensor))], Now(recent.share())))
+            Some((sensor_label(sensor), Now(recent.share())))
         });
-        family(encoder, "loss_ratio", help, shares)?;
+        family(to, "loss_ratio", help, None, shares)?;
         let help = "1 for the state that the sensor is in";
         let sensors = self.sensors.iter().zip(&self.conditions);
         let states = sensors.flat_map(|(sensor, condition)| {
             State::ALL.into_iter().map(move |state| {
-                let labels = [("sensor", name_of(sensor)), ("state", state.name())];
+                let labels = with(sensor_label(sensor), "state", state.name());
                 (labels, Now(u8::from(state == condition.state).into()))
             })
         });
-        family(encoder, "state", help, states)
+        family(to, "state", help, None, states)
     }
 
-    fn stages(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
+    fn stages(&self, to: &mut DescriptorEncoder<'_>) -> fmt::Result {
         let help = "Time that a sweep takes, by stage";
         let unit = Some(&Unit::Seconds);
-        let mut metrics = encoder.encode_descriptor("stage", help, unit, MetricType::Histogram)?;
+        let mut metrics = to.encode_descriptor("stage", help, unit, MetricType::Histogram)?;
         for sensor in self.sensors.iter() {
             for stage in Stage::ALL {
-                let labels: Labels<'_, 2> = [("sensor", &sensor.name), ("stage", stage.name())];
+                let labels = with(sensor_label(sensor), "stage", stage.name());
                 let histogram = sensor.counters.stage(stage);
                 let buckets: Vec<(f64, u64)> = histogram.buckets().collect();
                 let count = buckets.iter().map(|(_, count)| count).sum();
@@ -287,61 +204,62 @@ impl Snapshot {
     }
 }
 
-fn name_of(sensor: &SensorStatus) -> &str {
-    &sensor.name
+fn sensor_label(sensor: &SensorStatus) -> Labels<'_> {
+    vec![("sensor", &sensor.name)]
 }
 
-fn port_label(port: &PortStatus) -> Labels<'_, 1> {
-    [("port", &port.name)]
+fn port_label(port: &PortStatus) -> Labels<'_> {
+    vec![("port", &port.name)]
 }
 
-fn undecoded(sensor: &SensorStatus) -> impl Iterator<Item = (Labels<'_, 2>, Total)> {
-    sensor.counters.undecoded().map(|(reason, count)| {
-        let labels = [("sensor", name_of(sensor)), ("reason", reason)];
-        (labels, Total(count))
-    })
+fn with<'a>(mut labels: Labels<'a>, name: &'static str, value: &'a str) -> Labels<'a> {
+    labels.push((name, value));
+    labels
 }
 
-fn rejected(port: &PortStatus) -> impl Iterator<Item = (Labels<'_, 2>, Total)> {
-    Refusal::OF_CONFIGURED.into_iter().map(|reason| {
-        let labels = [("port", &port.name[..]), ("reason", reason.name())];
-        (labels, Total(port.counters.refused(reason)))
-    })
-}
-
-fn family<'a, const N: usize, M: EncodeMetric>(
-    encoder: &mut DescriptorEncoder<'_>,
-    name: &str,
-    help: &str,
-    metrics: impl Iterator<Item = (Labels<'a, N>, M)>,
+/// The rows of a table, each for all sensors or ports.
+fn numbers<T>(
+    to: &mut DescriptorEncoder<'_>,
+    rows: &[Number<T>],
+    all: &[T],
+    label: fn(&T) -> Labels<'_>,
 ) -> fmt::Result {
-    family_in(encoder, name, help, None, metrics)
+    for row in rows {
+        let mut metrics = Vec::new();
+        for one in all {
+            match row.read {
+                Read::Total(read) => metrics.push((label(one), Total(read(one)))),
+                Read::Gauge(read) => metrics.push((label(one), Now(read(one) as f64))),
+                Read::Totals(read) => {
+                    for (reason, count) in read(one) {
+                        metrics.push((with(label(one), "reason", reason), Total(count)));
+                    }
+                }
+            }
+        }
+        family(to, row.name, row.help, None, metrics.into_iter())?;
+    }
+    Ok(())
 }
 
 /// One metric of the whole daemon.
-fn single(
-    encoder: &mut DescriptorEncoder<'_>,
-    name: &str,
-    help: &str,
-    metric: impl EncodeMetric,
-) -> fmt::Result {
-    let none: Labels<'_, 0> = [];
-    family(encoder, name, help, once((none, metric)))
+fn single(to: &mut DescriptorEncoder<'_>, name: &str, help: &str, metric: Metric) -> fmt::Result {
+    family(to, name, help, None, std::iter::once((vec![], metric)))
 }
 
 /// One metric of several sensors or ports; nothing if none of them has it.
-fn family_in<'a, const N: usize, M: EncodeMetric>(
-    encoder: &mut DescriptorEncoder<'_>,
+fn family<'a>(
+    to: &mut DescriptorEncoder<'_>,
     name: &str,
     help: &str,
     unit: Option<&Unit>,
-    metrics: impl Iterator<Item = (Labels<'a, N>, M)>,
+    metrics: impl Iterator<Item = (Labels<'a>, Metric)>,
 ) -> fmt::Result {
     let mut metrics = metrics.peekable();
     let Some((_, first)) = metrics.peek() else {
         return Ok(());
     };
-    let mut described = encoder.encode_descriptor(name, help, unit, first.metric_type())?;
+    let mut described = to.encode_descriptor(name, help, unit, first.metric_type())?;
     for (labels, metric) in metrics {
         metric.encode(described.encode_family(&labels)?)?;
     }

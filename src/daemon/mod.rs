@@ -9,6 +9,7 @@
 //! record                            what is recorded: by the configuration, and for `sweepd record --from`
 //! control   one tokio thread:       signals, reload, notify (systemd), health and metrics over HTTP
 //! counters                          what the first tell the second: plain atomics
+//! numbers                           the table of what health and metrics show of them
 //! state                             what that means, in words
 //! ```
 
@@ -21,6 +22,7 @@ pub mod losses;
 pub mod metrics;
 pub mod nap;
 pub mod notify;
+pub mod numbers;
 pub mod plan;
 pub mod port;
 pub mod record;

@@ -6,6 +6,7 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use serde::Serialize;
 use tokio::sync::oneshot;
 use tracing::{error, info, warn};
 
@@ -240,8 +241,8 @@ impl Retries {
     }
 }
 
-/// How a recording is, for other threads.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+/// How a recording is, for other threads and in `/health`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct RecordingStatus {
     /// The one sensor that is recorded; all if there is none.
     pub sensor: Option<String>,

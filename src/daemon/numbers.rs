@@ -1,0 +1,125 @@
+//! The counters of a sensor and of a port: one table, a row each. `/metrics` and `/health` have every
+//! row under its name; from there the doctor and `sweepd-ros2` show those that they do not know.
+
+use serde_json::Value;
+
+use super::runtime::{PortStatus, SensorStatus};
+
+use Read::{Gauge, Total, Totals};
+
+/// A row: something that is counted of a sensor or of a port.
+pub struct Number<T> {
+    /// Its name; in `/metrics`, `sweepd_` stands before it.
+    pub name: &'static str,
+    /// What it counts.
+    pub help: &'static str,
+    /// How it is read.
+    pub read: Read<T>,
+}
+
+/// How a number is read; by its kind.
+pub enum Read<T> {
+    /// It only grows.
+    Total(fn(&T) -> u64),
+    /// It only grows, for each reason.
+    Totals(fn(&T) -> Vec<(&'static str, u64)>),
+    /// It goes up and down.
+    Gauge(fn(&T) -> u64),
+}
+
+/// The counters of a sensor.
+pub const OF_SENSOR: &[Number<SensorStatus>] = &[
+    row(
+        "packets",
+        "Data packets let in",
+        Total(|of| of.counters.data.get()),
+    ),
+    row(
+        "position_packets",
+        "Position packets let in",
+        Total(|of| of.counters.position.get()),
+    ),
+    row(
+        "position_overflows",
+        "Position packets that found no room on the way to their sensor's thread",
+        Total(|of| of.counters.position_overflows.get()),
+    ),
+    row(
+        "refused",
+        "Datagrams from the sensor's address to its data port that are no packets",
+        Total(|of| of.counters.refused.get()),
+    ),
+    row(
+        "lost",
+        "Data packets missing by the sensor's clock",
+        Total(|of| of.counters.lost.get()),
+    ),
+    row(
+        "reordered",
+        "Data packets put back in order",
+        Total(|of| of.counters.reordered.get()),
+    ),
+    row(
+        "sweeps",
+        "Sweeps, partial ones included",
+        Total(|of| of.counters.sweeps.get()),
+    ),
+    row(
+        "partial_sweeps",
+        "Sweeps that are not from cut to cut",
+        Total(|of| of.counters.partial_sweeps.get()),
+    ),
+    row(
+        "unshared_sweeps",
+        "Sweeps that were not shared",
+        Total(|of| of.counters.unshared.get()),
+    ),
+    row(
+        "renewed",
+        "Times that shared memory was made anew because files of it were deleted",
+        Total(|of| of.sharing.renewed()),
+    ),
+    row(
+        "undecoded",
+        "Data packets let in and not decoded, by reason",
+        Totals(|of| of.counters.undecoded().collect()),
+    ),
+    row(
+        "consumers",
+        "Consumers connected",
+        Gauge(|of| of.sharing.consumers()),
+    ),
+];
+
+/// The counters of a port.
+pub const OF_PORT: &[Number<PortStatus>] = &[
+    row(
+        "received",
+        "Datagrams of any kind",
+        Total(|of| of.counters.received.get()),
+    ),
+    row(
+        "dropped",
+        "Datagrams that the kernel dropped because the daemon did not fetch them in time",
+        Total(|of| of.counters.dropped.get()),
+    ),
+    row(
+        "rejected",
+        "Datagrams that reach no sensor, by reason",
+        Totals(|of| of.counters.rejected().collect()),
+    ),
+];
+
+const fn row<T>(name: &'static str, help: &'static str, read: Read<T>) -> Number<T> {
+    Number { name, help, read }
+}
+
+/// Adds the rows to what `/health` says of a sensor or of a port.
+pub fn report<T>(rows: &[Number<T>], of: &T, report: &mut Value) {
+    for row in rows {
+        report[row.name] = match row.read {
+            Total(read) | Gauge(read) => read(of).into(),
+            Totals(read) => read(of).into_iter().collect(),
+        };
+    }
+}
