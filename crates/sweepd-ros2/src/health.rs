@@ -21,6 +21,9 @@ const DAEMON: &str = "sweepd";
 const ANSWER_WITHIN: Duration = Duration::from_millis(200);
 const ANSWER_BYTES: u64 = 1 << 20;
 
+/// Numbers of `/health` that are no counters, and what its words tell.
+const UNTOLD: [&str; 3] = ["port", "position_port", "losses"];
+
 /// The publisher of `/diagnostics`.
 pub struct Diagnostics {
     publisher: Publisher,
@@ -93,7 +96,9 @@ impl Diagnostics {
             let computed = bridge.seen.computed(topic);
             values.add_topic(topic.name(), computed, &publisher.statistics().subscribers);
         }
-        values.add_said(said);
+        let said = said.unwrap_or(&Value::Null);
+        values.add_said(said, &["state", "gps", "temperature_c", "consumers"]);
+        values.add_numbers("", said);
         Status {
             level,
             name: format!("{DAEMON}: {}", bridge.name),
@@ -138,13 +143,27 @@ impl Values {
         }
     }
 
-    /// What the daemon says of the sensor.
-    fn add_said(&mut self, said: Option<&Value>) {
-        for key in ["state", "gps", "temperature_c", "consumers"] {
-            match said.map(|said| &said[key]) {
-                None | Some(Value::Null) => {}
-                Some(Value::String(text)) => self.add(key, text),
-                Some(other) => self.add(key, other),
+    /// What the daemon says under these keys, as far as it says something.
+    fn add_said(&mut self, said: &Value, keys: &[&str]) {
+        for &key in keys {
+            match &said[key] {
+                Value::Null => {}
+                Value::String(text) => self.add(key, text),
+                other => self.add(key, other),
+            }
+        }
+    }
+
+    /// Every number that the daemon says of a sensor or of a port, by its name there, unless that
+    /// is shown already.
+    fn add_numbers(&mut self, before: &str, said: &Value) {
+        for (name, value) in said.as_object().into_iter().flatten() {
+            let key = format!("{before}{name}");
+            let is_shown = self.0.iter().any(|(shown, _)| *shown == key);
+            match value {
+                _ if is_shown || UNTOLD.contains(&&name[..]) => {}
+                Value::Number(number) => self.add(key, number),
+                by_reason => self.add_numbers(&format!("{key} "), by_reason),
             }
         }
     }
@@ -223,20 +242,20 @@ fn of_daemon(at: SocketAddr, said: &Result<Value, String>) -> Status {
         }
         Err(why) => (Level::Stale, format!("its health is not known: {why}")),
     };
-    let mut values = vec![("health".to_owned(), format!("http://{at}/health"))];
-    for key in ["version", "pid", "uptime_s", "root"] {
-        match said.as_ref().map(|said| &said[key]) {
-            Ok(Value::String(text)) => values.push((key.to_owned(), text.clone())),
-            Ok(Value::Number(number)) => values.push((key.to_owned(), number.to_string())),
-            _ => {}
-        }
+    let mut values = Values::default();
+    values.add("health", format!("http://{at}/health"));
+    let said = said.as_ref().unwrap_or(&Value::Null);
+    values.add_said(said, &["version", "pid", "uptime_s", "root"]);
+    for port in said["ports"].as_array().into_iter().flatten() {
+        let name = port["name"].as_str().unwrap_or("port");
+        values.add_numbers(&format!("{name} "), port);
     }
     Status {
         level,
         name: DAEMON.to_owned(),
         message,
         hardware_id: String::new(),
-        values,
+        values: values.0,
     }
 }
 

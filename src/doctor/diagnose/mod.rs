@@ -13,6 +13,7 @@ use serde_json::Value;
 use super::observe::{Observations, PortResult};
 use super::{Finding, Severity, Topic};
 use crate::beams;
+use crate::daemon::numbers::{Number, OF_PORT, OF_SENSOR};
 
 /// Least percentage of missing packets in a running daemon's last seconds that is reported.
 const LEAST_LOSS_PERCENT: f64 = 0.1;
@@ -140,6 +141,12 @@ fn daemon(health: &Value, findings: &mut Findings) {
     for sensor in elements(&health["sensors"]) {
         findings.note(Topic::Daemon, sensor_line(sensor), "");
     }
+    for sensor in elements(&health["sensors"]) {
+        counts(sensor, OF_SENSOR, &["packets", "lost"], findings);
+    }
+    for port in elements(&health["ports"]) {
+        counts(port, OF_PORT, &["dropped"], findings);
+    }
     if reasons.is_empty() {
         let what = match health["status"].as_str() {
             Some("ok") => "a sweepd daemon runs and says that all is well",
@@ -165,6 +172,25 @@ fn sensor_line(sensor: &Value) -> String {
         line += &format!(", {lost} lost since the daemon began");
     }
     line
+}
+
+/// The numbers of a sensor or of a port that no other finding tells, but for those that are 0.
+fn counts<T>(report: &Value, rows: &[Number<T>], told: &[&str], findings: &mut Findings) {
+    let mut counts = Vec::new();
+    for row in rows.iter().filter(|row| !told.contains(&row.name)) {
+        let count = match &report[row.name] {
+            Value::Object(reasons) => reasons.values().filter_map(Value::as_u64).sum(),
+            count => count.as_u64().unwrap_or(0),
+        };
+        if count > 0 {
+            counts.push(format!("{} {count}", row.name));
+        }
+    }
+    if !counts.is_empty() {
+        let name = clean(&report["name"]).unwrap_or_else(|| "unknown name".to_owned());
+        let what = format!("{name}: {}", counts.join(", "));
+        findings.note(Topic::Daemon, what, "");
+    }
 }
 
 fn elements(array: &Value) -> impl Iterator<Item = &Value> {

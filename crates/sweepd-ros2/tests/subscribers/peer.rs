@@ -154,6 +154,7 @@ impl Peer {
     /// Adds a reader of a topic in DDS.
     pub fn subscribe(&mut self, topic: &str, asks: Asks) {
         let type_name = match topic {
+            "rt/diagnostics" => "diagnostic_msgs::msg::dds_::DiagnosticArray_",
             "ros_discovery_info" => "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_",
             _ => POINTS_TYPE,
         };
