@@ -2,6 +2,7 @@
 //! of the repository, and the programs are built of that.
 
 mod counters;
+mod keys;
 #[allow(dead_code)]
 #[path = "../../crates/sweepd-ros2/tests/subscribers/peer.rs"]
 mod peer;
@@ -10,4 +11,4 @@ mod scratch;
 use scratch::Row;
 
 /// The rows that are added, all to one copy: a second build would take minutes.
-const ADDED: &[Row] = &[counters::OF_SENSOR, counters::OF_PORT];
+const ADDED: &[Row] = &[counters::OF_SENSOR, counters::OF_PORT, keys::KEY];

@@ -84,25 +84,6 @@ impl<T> ReloadRule<T> {
     }
 }
 
-/// The numbers of the segmenter that differ; a reload takes all of them.
-fn segment_changes<'a>(
-    old: &'a SensorConfig,
-    new: &'a SensorConfig,
-) -> impl Iterator<Item = Change> + 'a {
-    let differing = SETTINGS
-        .iter()
-        .filter(|setting| !setting.is_same(&old.pipeline.segment, &new.pipeline.segment));
-    differing.map(move |setting| {
-        let before = shown(setting, old);
-        let now = shown(setting, new);
-        Change {
-            sensor: Some(old.name.clone()),
-            what: format!("{} {before} -> {now}", setting.key),
-            effect: Effect::Reload,
-        }
-    })
-}
-
 fn shown(setting: &segment::Setting, sensor: &SensorConfig) -> String {
     match setting.get(&sensor.pipeline.segment) {
         Some(value) => value.to_string(),
@@ -110,63 +91,62 @@ fn shown(setting: &segment::Setting, sensor: &SensorConfig) -> String {
     }
 }
 
+/// Changes, one after another.
+#[derive(Default)]
+struct Changes(Vec<Change>);
+
+impl Changes {
+    fn add(&mut self, sensor: Option<&SensorConfig>, what: impl Into<String>, effect: Effect) {
+        self.0.push(Change {
+            sensor: sensor.map(|sensor| sensor.name.clone()),
+            what: what.into(),
+            effect,
+        });
+    }
+
+    /// Those of a sensor.
+    fn add_sensor(&mut self, old: &SensorConfig, new: &SensorConfig) {
+        for (rule, effect) in compare(&SENSOR_TABLES, old, new) {
+            self.add(Some(old), rule.change(old, new), effect);
+        }
+        // A reload takes all numbers of the segmenter.
+        for setting in SETTINGS {
+            if !setting.is_same(&old.pipeline.segment, &new.pipeline.segment) {
+                let (before, now) = (shown(setting, old), shown(setting, new));
+                let what = format!("{} {before} -> {now}", setting.key);
+                self.add(Some(old), what, Effect::Reload);
+            }
+        }
+    }
+}
+
 impl Config {
     /// In what another configuration differs from this one.
     pub fn changes(&self, new: &Self) -> Vec<Change> {
-        let mut changes = Vec::new();
-        for (setting, effect) in compare(&[&DAEMON], &self.daemon, &new.daemon) {
-            changes.push(Change {
-                sensor: None,
-                what: setting.change(&self.daemon, &new.daemon),
-                effect,
-            });
+        let mut changes = Changes::default();
+        for (rule, effect) in compare(&[&DAEMON], &self.daemon, &new.daemon) {
+            changes.add(None, rule.change(&self.daemon, &new.daemon), effect);
         }
         for old in &self.sensors {
-            let Some(new) = new.sensor(&old.name) else {
-                let what = "is no longer there, which".to_owned();
-                changes.push(Change {
-                    sensor: Some(old.name.clone()),
-                    what,
-                    effect: Effect::Restart,
-                });
-                continue;
-            };
-            for (setting, effect) in compare(&SENSOR_TABLES, old, new) {
-                changes.push(Change {
-                    sensor: Some(old.name.clone()),
-                    what: setting.change(old, new),
-                    effect,
-                });
+            match new.sensor(&old.name) {
+                Some(new) => changes.add_sensor(old, new),
+                None => changes.add(Some(old), "is no longer there, which", Effect::Restart),
             }
-            changes.extend(segment_changes(old, new));
         }
-        for added in new
-            .sensors
-            .iter()
-            .filter(|sensor| self.sensor(&sensor.name).is_none())
-        {
-            let what = "is new, which".to_owned();
-            changes.push(Change {
-                sensor: Some(added.name.clone()),
-                what,
-                effect: Effect::Restart,
-            });
+        for added in &new.sensors {
+            if self.sensor(&added.name).is_none() {
+                changes.add(Some(added), "is new, which", Effect::Restart);
+            }
         }
         if self.record != new.record {
-            let old = self.recorded();
-            let now = new.recorded();
-            let what = if old == now {
-                "rotation of the recording has changed".to_owned()
-            } else {
-                format!("record {old} -> {now}")
+            let (old, now) = (self.recorded(), new.recorded());
+            let what = match old == now {
+                true => "rotation of the recording has changed".to_owned(),
+                false => format!("record {old} -> {now}"),
             };
-            changes.push(Change {
-                sensor: None,
-                what,
-                effect: Effect::Reload,
-            });
+            changes.add(None, what, Effect::Reload);
         }
-        changes
+        changes.0
     }
 
     /// What runs after a reload: this configuration, with what can be taken over from the new one.

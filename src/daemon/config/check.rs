@@ -67,7 +67,7 @@ impl Check<'_> {
             && !daemon.config.http_public
         {
             let title = format!("`http` would be open to all who reach {address}");
-            self.problem(given.at.clone(), title, "not an address of this host alone")
+            self.problem(given.span(), title, "not an address of this host alone")
                 .cure = Some(format!(
                 "serve {HTTP}, or say `http_public = true` if that is meant"
             ));
@@ -118,8 +118,8 @@ impl Check<'_> {
     /// Brings the path to the folder of the configuration.
     fn record(&mut self, mut record: Written<'_, RecordConfig>) -> RecordConfig {
         if let Some(given) = record.given(RECORD.name, "path") {
-            let at = given.at.clone();
-            match path(&given.value, self.folder) {
+            let at = given.span();
+            match path(given.get_ref(), self.folder) {
                 Ok(path) => record.config.path = path,
                 Err(Wrong::Value(shown, refusal)) => {
                     self.problems.push(refusal.problem(at, "path", &shown));

@@ -34,16 +34,12 @@ pub struct Written<'t, C> {
     pub at: Range<usize>,
     /// Whether nothing is missing, and every value of the right type can be.
     pub is_good: bool,
-    given: Vec<Given<'t>>,
+    /// The values of the right type; an empty text stands for a required one that is not there.
+    given: Vec<(KeyPath, Spanned<DeValue<'t>>)>,
 }
 
-/// A value of the right type; an empty text stands for a required one that is not there.
-pub struct Given<'t> {
-    table: &'static str,
-    name: &'static str,
-    pub at: Range<usize>,
-    pub value: DeValue<'t>,
-}
+/// The name of a table, and that of a key in it.
+type KeyPath = (&'static str, &'static str);
 
 /// Reads a file past each unknown key, missing key and wrong value, so that all of them are found at
 /// once.
@@ -163,7 +159,7 @@ impl<'t> Written<'t, SensorConfig> {
                 let expected = format!("expected {}", setting.expected());
                 Err(Wrong::Value(number.to_string(), expected.into()))
             });
-            self.take(table, setting.key, value, found, reader);
+            self.take((table, setting.key), value, found, reader);
         }
     }
 }
@@ -188,68 +184,55 @@ impl<'t, C: Default> Written<'t, C> {
             let Some(value) = reader.take(key.name) else {
                 if is_required {
                     reader.missing(key.name);
-                    self.stand_in(table.name, key.name, self.at.clone());
+                    self.stand_in((table.name, key.name), self.at.clone());
                 }
                 continue;
             };
             let folder = reader.problems().folder;
             let set = key.form.set(&mut self.config, value.get_ref(), folder);
             if is_required && matches!(set, Err(Wrong::Type(_))) {
-                self.stand_in(table.name, key.name, value.span());
+                self.stand_in((table.name, key.name), value.span());
             }
-            self.take(table.name, key.name, value, set, reader);
+            self.take((table.name, key.name), value, set, reader);
         }
     }
 
     /// An empty text for a required one that is not there.
-    fn stand_in(&mut self, table: &'static str, name: &'static str, at: Range<usize>) {
+    fn stand_in(&mut self, key: KeyPath, at: Range<usize>) {
         self.is_good = false;
-        self.given.push(Given {
-            table,
-            name,
-            at,
-            value: DeValue::String("".into()),
-        });
+        let empty = DeValue::String("".into());
+        self.given.push((key, Spanned::new(at, empty)));
     }
 
     /// Keeps a value of the right type, and notes what is wrong with one.
     fn take(
         &mut self,
-        table: &'static str,
-        name: &'static str,
+        key: KeyPath,
         value: Spanned<DeValue<'t>>,
         set: Result<(), Wrong>,
         reader: &mut TableReader<'_, '_, 't>,
     ) {
         if let Err(wrong) = set {
             let is_type = !matches!(wrong, Wrong::Value(..));
-            reader.problems().wrong(name, &value, wrong);
+            reader.problems().wrong(key.1, &value, wrong);
             if is_type {
                 return;
             }
             self.is_good = false;
         }
-        self.given.push(Given {
-            table,
-            name,
-            at: value.span(),
-            value: value.into_inner(),
-        });
+        self.given.push((key, value));
     }
 }
 
 impl<'t, C> Written<'t, C> {
-    /// What is given for a key of a table.
-    pub fn given(&self, table: &str, name: &str) -> Option<&Given<'t>> {
-        self.given
-            .iter()
-            .find(|given| (given.table, given.name) == (table, name))
+    /// What is given for a key of a table, if it has the right type.
+    pub fn given(&self, table: &str, name: &str) -> Option<&Spanned<DeValue<'t>>> {
+        let found = self.given.iter().find(|(key, _)| *key == (table, name));
+        found.map(|(_, value)| value)
     }
 
     /// Where a key of the table itself is given; where the table stands if it is not.
     pub fn place(&self, name: &str) -> Range<usize> {
-        self.given("", name)
-            .map_or(&self.at, |given| &given.at)
-            .clone()
+        self.given("", name).map_or(self.at.clone(), Spanned::span)
     }
 }

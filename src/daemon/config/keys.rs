@@ -286,10 +286,9 @@ fn http(text: &str) -> Result<Option<SocketAddr>, Refusal> {
     if text == "off" {
         return Ok(None);
     }
-    let address: Option<SocketAddr> = text.parse().ok();
-    match address.filter(|address| address.port() != 0) {
-        None => Err(format!("expected an address and port such as {HTTP}, or \"off\"").into()),
-        address => Ok(address),
+    match text.parse::<SocketAddr>() {
+        Ok(address) if address.port() != 0 => Ok(Some(address)),
+        _ => Err(format!("expected an address and port such as {HTTP}, or \"off\"").into()),
     }
 }
 

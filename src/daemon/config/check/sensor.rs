@@ -1,5 +1,7 @@
 //! What depends on several keys of one `[[sensor]]`, on files or on the machine.
 
+use toml::Spanned;
+
 use super::Check;
 use crate::daemon::config::SensorConfig;
 use crate::daemon::config::file::Written;
@@ -40,7 +42,7 @@ impl Check<'_> {
     /// Where one limit of two is given, the default of the other gives way.
     fn losses(&mut self, sensor: &mut Sensor<'_>) {
         let percent = |key| {
-            let given = number(&sensor.given("", key)?.value);
+            let given = number(sensor.given("", key)?.get_ref());
             given.filter(|percent| LOSS_PERCENT.contains(percent))
         };
         let warning = percent("loss_warning_percent");
@@ -81,12 +83,12 @@ impl Check<'_> {
             && !is_hdl64e
         {
             let title = format!("`rpm` cannot be {rpm}");
-            self.problem(given.at.clone(), title, "expected a multiple of 60");
+            self.problem(given.span(), title, "expected a multiple of 60");
         }
         for key in ["laser", "host", "phase_lock"] {
             if let Some(given) = given(key).filter(|_| is_hdl64e) {
                 let title = format!("`{key}` of an HDL-64E cannot be read");
-                self.problem(given.at.clone(), title, "it has no web interface");
+                self.problem(given.span(), title, "it has no web interface");
             }
         }
     }
@@ -97,9 +99,9 @@ impl Check<'_> {
             for key in table.keys {
                 if let Form::File(read) = key.form
                     && let Some(given) = sensor.given(table.name, key.name)
-                    && let Ok(path) = path(&given.value, self.folder)
+                    && let Ok(path) = path(given.get_ref(), self.folder)
                 {
-                    let at = given.at.clone();
+                    let at = given.span();
                     if let Err(why) = read(&mut sensor.config, &path) {
                         self.problem(at, why, format!("the {} that is named here", key.name));
                     }
@@ -124,7 +126,7 @@ impl Check<'_> {
             _ => ("", ""),
         };
         let to_blame = sensor.given(table, key);
-        let at = to_blame.map_or(&sensor.at, |given| &given.at).clone();
+        let at = to_blame.map_or(sensor.at.clone(), Spanned::span);
         self.problem(at, error.to_string(), "");
     }
 }
