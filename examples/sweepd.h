@@ -30,77 +30,38 @@
 extern "C" {
 #endif
 
-/* First bytes of a sweep. */
-#define SWEEPD_MAGIC "sweepd\r\n"
-#define SWEEPD_LAYOUT_VERSION 3u
-/* Alignment of a sweep and of its parts, bytes. */
-#define SWEEPD_ALIGN 64u
-
-/* Bits of sweepd_header.flags. */
-#define SWEEPD_PARTIAL (1u << 0)          /* not from cut to cut */
-#define SWEEPD_CIRCULAR (1u << 1)         /* a whole turn: the last column and the first are neighbours */
-#define SWEEPD_REVERSED (1u << 2)         /* the head turns counter-clockwise seen from above */
-#define SWEEPD_BLANKED (1u << 3)          /* the sensor is set to leave out a sector */
-#define SWEEPD_RATE_UNSTABLE (1u << 4)    /* too slow, too fast, or changing */
-#define SWEEPD_STOPPED (1u << 5)          /* the head stands still */
-#define SWEEPD_HEIGHT_ESTIMATED (1u << 6) /* height_m was estimated, not configured */
-#define SWEEPD_LOSS_ESTIMATED (1u << 7)   /* lost_packets is an estimate */
+/* Written from the Rust types by SWEEPD_WRITE_PAGES=1 cargo test -p sweepd-sweep --test fields.
+ * begin fields: all */
+/* What all sweeps have in common. */
+#define SWEEPD_MAGIC "sweepd\r\n" /* first bytes of a sweep */
+#define SWEEPD_LAYOUT_VERSION 3u /* version of this layout */
+#define SWEEPD_ALIGN 64u /* alignment of a sweep and of its parts, bytes */
 
 /* Labels of a pixel; segments count from the last one on. */
-#define SWEEPD_LABEL_NONE 0u
-#define SWEEPD_LABEL_GROUND 1u
-#define SWEEPD_LABEL_FIRST_SEGMENT 2u
+#define SWEEPD_LABEL_NONE 0u /* label of a pixel without segment */
+#define SWEEPD_LABEL_GROUND 1u /* label of a ground pixel */
+#define SWEEPD_LABEL_FIRST_SEGMENT 2u /* label of the first segment */
 
-/* sweepd_header.time_source */
-#define SWEEPD_TIME_HOST 0u
-#define SWEEPD_TIME_GPS 1u
+/* Properties of a sweep, as bits of flags. */
+#define SWEEPD_PARTIAL 1u /* not from cut to cut */
+#define SWEEPD_CIRCULAR 2u /* a whole turn without a blanked sector */
+#define SWEEPD_REVERSED 4u /* the head turns counter-clockwise seen from above */
+#define SWEEPD_BLANKED 8u /* the sensor is set to leave out a sector */
+#define SWEEPD_RATE_UNSTABLE 16u /* turning slower than 240 rpm, faster than 1320, or more than a tenth off the sweep before */
+#define SWEEPD_STOPPED 32u /* the head stands still */
+#define SWEEPD_HEIGHT_ESTIMATED 64u /* the mounting height was estimated from the sweeps and not configured */
+#define SWEEPD_LOSS_ESTIMATED 128u /* lost_packets is an estimate */
 
-/* sweepd_header.return_mode */
-#define SWEEPD_MODE_STRONGEST 0x37u
-#define SWEEPD_MODE_LAST 0x38u
-#define SWEEPD_MODE_DUAL 0x39u
+/* Which clock time_ns is in. */
+#define SWEEPD_TIME_HOST 0u /* the clock of the host or the capture */
+#define SWEEPD_TIME_GPS 1u /* UTC from GPS */
 
-/* sweepd_header.return_choice: which of two returns is segmented */
-#define SWEEPD_CHOICE_NEAREST 0u
-#define SWEEPD_CHOICE_STRONGEST 1u
-#define SWEEPD_CHOICE_LAST 2u
+/* Which of two returns is segmented. */
+#define SWEEPD_CHOICE_NEAREST 0u /* the nearer */
+#define SWEEPD_CHOICE_STRONGEST 1u /* the strongest */
+#define SWEEPD_CHOICE_LAST 2u /* the last */
 
-/* sweepd_header.model */
-#define SWEEPD_MODEL_VLP16 1u
-#define SWEEPD_MODEL_PUCK_LITE 2u
-#define SWEEPD_MODEL_PUCK_HIRES 3u
-#define SWEEPD_MODEL_HDL32E 4u
-#define SWEEPD_MODEL_HDL64E_S2 5u
-#define SWEEPD_MODEL_HDL64E_S3 6u
-#define SWEEPD_MODEL_VLP32C 7u
-#define SWEEPD_MODEL_VLS128 8u
-
-/* sweepd_column.status */
-#define SWEEPD_COLUMN_MEASURED 1u
-#define SWEEPD_COLUMN_MISSING 2u
-#define SWEEPD_COLUMN_UNFIRED 3u
-
-/* A byte of the plane `kind`: one of the first two, and perhaps the bit. */
-#define SWEEPD_KIND_STRONGEST 1u
-#define SWEEPD_KIND_LAST 2u
-#define SWEEPD_KIND_SECOND_BLOCKS 4u
-
-/* First bytes of a message of objects. */
-#define SWEEPD_OBJECTS_MAGIC "objects\n"
-#define SWEEPD_OBJECTS_VERSION 1u
-
-/* Bits of sweepd_objects_header.flags. */
-#define SWEEPD_OBJECTS_LAST (1u << 0)      /* the last message of its sweep */
-#define SWEEPD_OBJECTS_NO_HEIGHT (1u << 1) /* the height of the sensor is not known yet: this sweep has no objects */
-#define SWEEPD_OBJECTS_PARTIAL (1u << 2)   /* the sweep does not go from cut to cut */
-
-/* sweepd_object.why: the first two are segments of the sweep's table */
-#define SWEEPD_WHY_COMPLETE 1u /* nothing that still comes this turn can join it */
-#define SWEEPD_WHY_SWEEP 2u    /* its sweep is complete */
-#define SWEEPD_WHY_WIDE 3u     /* a part of a wide object, while it grows */
-#define SWEEPD_WHY_SEAM 4u     /* what lies across the cut, with its returns of the turn before */
-
-/* Indices of sweepd_header.offsets. */
+/* The parts of a sweep behind its header. */
 enum sweepd_part {
     SWEEPD_PART_RANGE,
     SWEEPD_PART_REFLECTIVITY,
@@ -115,7 +76,46 @@ enum sweepd_part {
     SWEEPD_PARTS
 };
 
-/* iceoryx2's user header; its type name there is "sweepd.Preamble". */
+/* Which of a pair of dual returns a plane holds. */
+#define SWEEPD_KIND_STRONGEST 1u /* the strongest, or the second strongest where the last is the strongest */
+#define SWEEPD_KIND_LAST 2u /* the last */
+#define SWEEPD_KIND_SECOND_BLOCKS 4u /* bit of PART_KIND */
+
+/* The status: what a column holds. */
+#define SWEEPD_COLUMN_MEASURED 1u /* a firing that arrived */
+#define SWEEPD_COLUMN_MISSING 2u /* a firing whose packet was lost */
+#define SWEEPD_COLUMN_UNFIRED 3u /* no firing */
+
+/* A supported sensor model. */
+#define SWEEPD_MODEL_VLP16 1u /* VLP-16 "Puck" */
+#define SWEEPD_MODEL_PUCK_LITE 2u /* Puck LITE */
+#define SWEEPD_MODEL_PUCK_HIRES 3u /* Puck Hi-Res */
+#define SWEEPD_MODEL_HDL32E 4u /* HDL-32E */
+#define SWEEPD_MODEL_HDL64E_S2 5u /* HDL-64E S2 and S2.1 */
+#define SWEEPD_MODEL_HDL64E_S3 6u /* HDL-64E S3 */
+#define SWEEPD_MODEL_VLP32C 7u /* VLP-32C "Ultra Puck", and VLP-32MR, which has the same beams */
+#define SWEEPD_MODEL_VLS128 8u /* VLS-128 "Alpha Prime" */
+
+/* The return mode. */
+#define SWEEPD_MODE_STRONGEST 0x37u /* the strongest return of each shot */
+#define SWEEPD_MODE_LAST 0x38u /* the last return of each shot */
+#define SWEEPD_MODE_DUAL 0x39u /* two returns of each shot */
+
+/* What all messages of objects have in common. */
+#define SWEEPD_OBJECTS_VERSION 1u /* version of a message of objects */
+#define SWEEPD_OBJECTS_MAGIC "objects\n" /* first bytes of a message of objects */
+
+/* Why an object is emitted. */
+#define SWEEPD_WHY_COMPLETE 1u /* a whole segment that no later column of this turn can join */
+#define SWEEPD_WHY_SWEEP 2u /* a whole segment that is published with its complete sweep */
+#define SWEEPD_WHY_WIDE 3u /* a part of an object wider than max_object_deg, published while the object grows */
+#define SWEEPD_WHY_SEAM 4u /* an object across the cut or close behind it, with its returns of the previous turn */
+
+/* Properties of a message of objects, as bits of flags. */
+#define SWEEPD_OBJECTS_LAST 1u /* the last message of the sweep */
+#define SWEEPD_OBJECTS_NO_HEIGHT 2u /* the height of the sensor is not known yet */
+#define SWEEPD_OBJECTS_PARTIAL 4u /* the sweep does not go from cut to cut */
+
 typedef struct sweepd_preamble {
     uint32_t layout_version;
     uint32_t reserved_4;
@@ -210,6 +210,18 @@ typedef struct sweepd_segment {
     uint32_t reserved_60;
 } sweepd_segment;
 
+typedef struct sweepd_object {
+    sweepd_segment segment;
+    uint32_t first_pixel;
+    uint32_t ordinal;
+    uint32_t why;
+    float azimuth_first_rad;
+    float azimuth_last_rad;
+    int32_t first_ns;
+    int32_t last_ns;
+    uint32_t reserved_92;
+} sweepd_object;
+
 typedef struct sweepd_objects_header {
     uint8_t magic[8];
     uint32_t version;
@@ -233,32 +245,17 @@ typedef struct sweepd_objects_header {
     char name[64];
 } sweepd_objects_header;
 
-typedef struct sweepd_object {
-    sweepd_segment segment;
-    uint32_t first_pixel;
-    uint32_t ordinal;
-    uint32_t why;
-    float azimuth_first_rad;
-    float azimuth_last_rad;
-    int32_t first_ns;
-    int32_t last_ns;
-    uint32_t reserved_92;
-} sweepd_object;
-
 #define SWEEPD_ASSERT(what, name) typedef char sweepd_assert_##name[(what) ? 1 : -1]
 SWEEPD_ASSERT(sizeof(float) == 4 && sizeof(double) == 8, floats);
 SWEEPD_ASSERT(sizeof(sweepd_preamble) == 64, preamble);
 SWEEPD_ASSERT(sizeof(sweepd_header) == 448, header);
-SWEEPD_ASSERT(offsetof(sweepd_header, sequence) == 144, header_counts);
-SWEEPD_ASSERT(offsetof(sweepd_header, completed_ns) == 272, header_measures);
 SWEEPD_ASSERT(sizeof(sweepd_column) == 24, column);
 SWEEPD_ASSERT(sizeof(sweepd_beam) == 48, beam);
 SWEEPD_ASSERT(sizeof(sweepd_segment) == 64, segment);
-SWEEPD_ASSERT(sizeof(sweepd_objects_header) == 192, objects_header);
-SWEEPD_ASSERT(offsetof(sweepd_objects_header, position_m) == 80, objects_mount);
 SWEEPD_ASSERT(sizeof(sweepd_object) == 96, object);
-SWEEPD_ASSERT(offsetof(sweepd_object, last_ns) == 88, object_times);
+SWEEPD_ASSERT(sizeof(sweepd_objects_header) == 192, objects_header);
 #undef SWEEPD_ASSERT
+/* end fields */
 
 /* What is found of bytes. */
 typedef enum sweepd_status {

@@ -1,22 +1,18 @@
-//! What other languages make of a sweep: `docs/layout.md`, `examples/sweepd.h`,
-//! the Python package and the page's `sweep.js` against the Rust types, and the example consumers
-//! against a publisher.
+//! What other languages make of a sweep: `examples/sweepd.h` and the Python package against Rust,
+//! and the example consumers against a publisher. What they have of the layout is written from the
+//! Rust types: `crates/sweepd-sweep/tests/fields`.
 //!
 //! A C and a C++ compiler are wanted, and a Python (`SWEEPD_PYTHON`) with the
 //! packages `iceoryx2` 0.10.0 and `numpy`. Where they are missing the tests are ignored;
 //! under `CI=true` they fail.
 
 mod common;
-#[path = "consumers/fields.rs"]
-mod fields;
 #[path = "consumers/hostile.rs"]
 mod hostile;
 #[path = "consumers/native.rs"]
 mod native;
 #[path = "consumers/objects.rs"]
 mod objects;
-#[path = "consumers/page.rs"]
-mod page;
 #[path = "consumers/pallet.rs"]
 mod pallet;
 #[path = "consumers/programs.rs"]
@@ -25,8 +21,6 @@ mod programs;
 mod python;
 #[path = "consumers/refusals.rs"]
 mod refusals;
-#[path = "consumers/script.rs"]
-mod script;
 #[path = "consumers/sweeps.rs"]
 mod sweeps;
 #[path = "consumers/wall.rs"]

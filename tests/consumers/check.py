@@ -1,6 +1,6 @@
 """Follows a sensor with the Python package and says what it finds; tests/consumers/python.rs compares it with Rust.
 
-    check.py layout                     fields, numbers and prefixes, as JSON
+    check.py prefixes ROOT...           the prefix of each root, as JSON
     check.py follow NAME ROOT FOLDER    a JSON line a sweep; its points, azimuths and times as files
     check.py objects NAME ROOT          a JSON line a message of objects; all of them are held
     check.py refuse NAME ROOT [objects] for a line `next`: waits for a sweep, or says why not; `look`: the same without
@@ -25,24 +25,8 @@ def say(**what):
     print(json.dumps(what), flush=True)
 
 
-def numbers():
-    def fields(dtype):
-        found = {}
-        for name, (kind, offset, *_) in dtype.fields.items():
-            element, count = (kind.subdtype[0], kind.shape[0]) if kind.subdtype else (kind, 1)
-            nested = [of for of, dtype in structs.items() if dtype == element]
-            found[name] = [offset, kind.itemsize, nested[0] if nested else element.kind + str(8 * element.itemsize)]
-        return found
-
-    structs = {"Header": layout.HEADER, "Column": layout.COLUMN, "BeamRow": layout.BEAM, "Segment": layout.SEGMENT,
-               "ObjectsHeader": layout.OBJECTS_HEADER, "Object": layout.OBJECT}
-    names = [name for name in dir(layout) if name.isupper() and isinstance(getattr(layout, name), int)]
-    preamble = {name: [getattr(layout.Preamble, name).offset, getattr(layout.Preamble, name).size]
-                for name, _ in layout.Preamble._fields_}
-    roots = sys.argv[2:]
-    say(structs={name: fields(dtype) for name, dtype in structs.items()}, preamble=preamble,
-        numbers={name: getattr(layout, name) for name in names},
-        prefixes=[_service.prefix(_service.absolute(root)) for root in roots])
+def prefixes(*roots):
+    say(prefixes=[_service.prefix(_service.absolute(root)) for root in roots])
 
 
 def mapping(array):
@@ -185,7 +169,7 @@ def points_in(file, start_ns, x, y, turn):
 
 
 try:
-    {"layout": numbers, "objects": lambda: objects(*sys.argv[2:]), "points_in": lambda: points_in(*sys.argv[2:]), "follow": lambda: follow(*sys.argv[2:]), "refuse": lambda: refuse(*sys.argv[2:]),
+    {"prefixes": lambda: prefixes(*sys.argv[2:]), "objects": lambda: objects(*sys.argv[2:]), "points_in": lambda: points_in(*sys.argv[2:]), "follow": lambda: follow(*sys.argv[2:]), "refuse": lambda: refuse(*sys.argv[2:]),
      "hold": lambda: hold(*sys.argv[2:])}[sys.argv[1]]()
 except sweepd.SweepdError as error:
     say(error=str(error))

@@ -1,6 +1,5 @@
-/* Says what sweepd.h makes of the layout; tests/consumers/native.rs compares it with the Rust types.
+/* Says what sweepd.h makes of the layout; tests/consumers/native.rs compares it with Rust.
  *
- *     layout fields             name, offset, size, and kind of each field; each number
  *     layout points SWEEP       a record for each return
  *     layout points_in SWEEP START_NS X Y W  the points of all pixels, of a robot that moves so since then: metres a second,
  *                               radians a second clockwise
@@ -20,35 +19,6 @@ struct record {
     double row, column, kind, label, reflectivity, range, azimuth, x, y, z;
     int64_t time_ns;
 };
-
-/* What kind of number it is shows in what becomes of a half and of minus one. */
-static char kind_of(double half, double minus_one) {
-    return half > 0 ? 'f' : minus_one < 0 ? 'i' : 'u';
-}
-
-static void fields(void) {
-#define FIELD(type, field, element)                                                                       \
-    do {                                                                                                  \
-        static type half, minus_one;                                                                      \
-        half.element++;                                                                                   \
-        half.element /= 2;                                                                                \
-        minus_one.element--;                                                                              \
-        printf(#type " " #field " %lu %lu %c%lu\n", (unsigned long)offsetof(type, field),                 \
-               (unsigned long)sizeof half.field, kind_of((double)half.element, (double)minus_one.element), \
-               (unsigned long)(8 * sizeof half.element));                                                 \
-    } while (0);
-/* One within another: its type is looked at by the compiler. */
-#define NESTED(type, field, of)                                                           \
-    do {                                                                                  \
-        static type outer;                                                                \
-        const of *inner = &outer.field;                                                   \
-        printf(#type " " #field " %lu %lu " #of "\n", (unsigned long)offsetof(type, field), \
-               (unsigned long)sizeof *inner);                                             \
-    } while (0);
-#define NUMBER(name) printf("number " #name " %lu\n", (unsigned long)SWEEPD_##name);
-#define SIZE(type) printf("size " #type " %lu\n", (unsigned long)sizeof(type));
-#include "fields.inc"
-}
 
 /* The whole file, at a multiple of 64. */
 static uint8_t *content(const char *path, size_t *len) {
@@ -173,10 +143,6 @@ static int check(const char *path, sweepd_status (*status_of)(const void *, size
 }
 
 int main(int argc, char **argv) {
-    if (argc == 2 && strcmp(argv[1], "fields") == 0) {
-        fields();
-        return 0;
-    }
     if (argc == 3 && strcmp(argv[1], "points") == 0) return points(argv[2]);
     if (argc == 7 && strcmp(argv[1], "points_in") == 0) return points_in(argv + 2);
     if (argc == 3 && strcmp(argv[1], "check") == 0) return check(argv[2], sweepd_check);

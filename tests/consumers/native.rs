@@ -1,4 +1,4 @@
-//! `examples/sweepd.h` in C99 and in C++11: every offset, every point, every header that is none.
+//! `examples/sweepd.h` in C99 and in C++11: every point, and every header that is none.
 
 use std::fmt::Write as _;
 use std::io::Write as _;
@@ -8,7 +8,6 @@ use std::process::{Command, Stdio};
 use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::{LayoutError, ReturnKind};
 
-use super::fields::{Field, numbers, structs};
 use super::sweeps::{SOURCES, Source};
 use super::{folder, of_project};
 
@@ -18,41 +17,15 @@ const LANGUAGES: [(&str, &str, &[&str]); 2] = [
     ("C++11", "c++", &["-std=c++11", "-x", "c++"]),
 ];
 
-/// The name in C of the struct that a field is.
-fn nested(field: &Field) -> Option<&'static str> {
-    let named = structs().into_iter().find(|of| of.name == field.kind);
-    named.map(|of| of.c_name)
-}
-
 /// Compiles the program in all languages that can be, for a test.
 pub fn programs(test: &str) -> Vec<(&'static str, PathBuf)> {
     let folder = folder(test);
-    let mut fields = String::new();
-    for of in structs() {
-        writeln!(fields, "SIZE({})", of.c_name).unwrap();
-        for field in of.fields {
-            let element = if field.kind.contains('[') { "[0]" } else { "" };
-            let (c_name, name) = (of.c_name, field.name);
-            match nested(&field) {
-                Some(of) => writeln!(fields, "NESTED({c_name}, {name}, {of})"),
-                None => writeln!(fields, "FIELD({c_name}, {name}, {name}{element})"),
-            }
-            .unwrap();
-        }
-    }
-    numbers()
-        .iter()
-        .for_each(|(name, _)| writeln!(fields, "NUMBER({name})").unwrap());
-    std::fs::write(folder.join("fields.inc"), fields).unwrap();
     let compiled = |(language, compiler, options): (&'static str, &str, &[&str])| {
         let program = folder.join(language);
         let mut command = Command::new(compiler);
         command
             .args(options)
             .args(["-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I"])
-            .arg(&folder);
-        command
-            .arg("-I")
             .arg(of_project("examples"))
             .arg(of_project("tests/consumers/layout.c"));
         let output = command
@@ -75,45 +48,6 @@ pub fn run(program: &Path, args: &[&Path]) -> Vec<u8> {
     let output = Command::new(program).args(args).output().unwrap();
     assert!(output.status.success(), "{args:?}: {:?}", output.status);
     output.stdout
-}
-
-#[test]
-fn the_header_has_the_fields_and_numbers_of_the_layout() {
-    let mut expected = String::new();
-    for of in structs() {
-        writeln!(expected, "size {} {}", of.c_name, of.bytes).unwrap();
-        for field in of.fields {
-            let element = field.kind.split('[').next().unwrap();
-            // Text is char, whose sign is the compiler's business.
-            let element = if ["sensor", "name"].contains(&field.name) {
-                "i8"
-            } else {
-                nested(&field).unwrap_or(element)
-            };
-            writeln!(
-                expected,
-                "{} {} {} {} {element}",
-                of.c_name, field.name, field.offset, field.bytes
-            )
-            .unwrap();
-        }
-    }
-    numbers()
-        .iter()
-        .for_each(|(name, value)| writeln!(expected, "number {name} {value}").unwrap());
-    for (language, program) in programs("fields") {
-        let said = String::from_utf8(run(&program, &["fields".as_ref()])).unwrap();
-        let is_text = |line: &str| line.contains(" sensor ") || line.contains(" name ");
-        let said = said.lines().map(|line| {
-            if is_text(line) {
-                line.replace(" u8", " i8")
-            } else {
-                line.to_owned()
-            }
-        });
-        let (said, expected): (Vec<_>, Vec<_>) = (said.collect(), expected.lines().collect());
-        assert_eq!(said, expected, "{language}");
-    }
 }
 
 /// The records of the program.

@@ -56,7 +56,7 @@ pub fn is_return(range_m: f32) -> bool {
 pub const LABEL_NONE: u32 = 0;
 /// Label of a ground pixel.
 pub const LABEL_GROUND: u32 = 1;
-/// Label of the first segment.
+/// Label of the first segment; entry `label - 2` of the table of segments is the pixel's.
 pub const LABEL_FIRST_SEGMENT: u32 = 2;
 
 /// Properties of a sweep, as bits of [`Header::flags`].
@@ -69,8 +69,7 @@ pub mod flags {
     pub const REVERSED: u32 = 1 << 2;
     /// The sensor is set to leave out a sector.
     pub const BLANKED: u32 = 1 << 3;
-    /// Turning slower than 240 rpm, faster than 1320, or more than a tenth faster or slower than
-    /// the sweep before.
+    /// Turning slower than 240 rpm, faster than 1320, or more than a tenth off the sweep before.
     pub const RATE_UNSTABLE: u32 = 1 << 4;
     /// The head stands still.
     pub const STOPPED: u32 = 1 << 5;
@@ -108,27 +107,28 @@ pub enum ReturnChoice {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(usize)]
 pub enum Part {
-    /// f32 metres a pixel; see [`is_return`], and [`crate::corrected`] for
-    /// the last bit on an HDL-64E.
+    /// f32 a pixel, metres; greater than 0 is a return, all else is none.
+    ///
+    /// See [`is_return`], and [`crate::corrected`] for the last bit on an HDL-64E.
     Range = 0,
-    /// u8 a pixel.
-    Reflectivity,
+    /// u8 a pixel, calibrated.
+    Reflectivity = 1,
     /// u32 a pixel: 0 none, 1 ground, 2.. segment.
-    Label,
-    /// Range of the other return, dual only.
-    Range2,
-    /// Reflectivity of the other return, dual only.
-    Reflectivity2,
-    /// Label of the other return, dual only.
-    Label2,
+    Label = 2,
+    /// f32 a pixel, dual only: range of the other return.
+    Range2 = 3,
+    /// u8 a pixel, dual only: reflectivity of the other return.
+    Reflectivity2 = 4,
+    /// u32 a pixel, dual only: label of the other return.
+    Label2 = 5,
     /// u8 a pixel, dual only: [`ReturnKind`] of the segmented return, and [`SECOND_BLOCKS`].
-    Kind,
+    Kind = 6,
     /// [`Column`] a column.
-    Columns,
+    Columns = 7,
     /// [`BeamRow`] a row.
-    Beams,
+    Beams = 8,
     /// [`Segment`] a segment.
-    Segments,
+    Segments = 9,
 }
 
 /// Number of parts.
@@ -204,16 +204,15 @@ pub struct Header {
     pub segments: u32,
     /// Segments that the table has room for.
     pub segments_capacity: u32,
-    /// Code of the [`Model`](crate::Model): 1 VLP-16, 2 Puck LITE, 3 Puck Hi-Res, 4
-    /// HDL-32E, 5 HDL-64E S2 (or S2.1), 6 HDL-64E S3, 7 VLP-32C (or VLP-32MR), 8 VLS-128.
+    /// Code of the [`Model`](crate::Model).
     pub model: u32,
-    /// [`ReturnMode::byte`](crate::ReturnMode::byte).
+    /// Byte of the [`ReturnMode`](crate::ReturnMode).
     pub return_mode: u32,
-    /// [`ReturnChoice`].
+    /// Which of two returns is segmented: a [`ReturnChoice`].
     pub return_choice: u32,
     /// Bits of [`flags`].
     pub flags: u32,
-    /// [`TimeSource`].
+    /// Which clock `time_ns` is in: a [`TimeSource`].
     pub time_source: u32,
     /// Sweeps of this pipeline before this one, partial ones included.
     pub sequence: u64,
@@ -277,12 +276,12 @@ pub struct Header {
     pub completed_monotonic_ns: i64,
     /// CLOCK_REALTIME when this run of the sensor's pipeline began, nanoseconds since 1970: with
     /// [`Header::sequence`] it identifies the sweep permanently. A reload that changes the sensor
-    /// begins another run. 0 where nothing is published.
+    /// begins another run, in which `sequence` counts from 0 again. 0 where nothing is published.
     pub run_ns: i64,
-    /// Source of the sensor's packets as text, zero padded.
+    /// Source of the sensor's packets, UTF-8, zero padded.
     pub sensor: [u8; 64],
-    /// Configured name of the sensor, which is also that of its service; zero padded, empty if
-    /// there is none.
+    /// Configured name of the sensor, which is also that of its service; UTF-8, zero padded, empty
+    /// if there is none.
     pub name: [u8; 64],
     _reserved_bytes: [u8; 24],
 }
@@ -291,22 +290,22 @@ pub struct Header {
 #[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, KnownLayout, Immutable)]
 #[repr(C)]
 pub struct Column {
-    /// Ordinal of the data packet among this sensor's, from 0; `u64::MAX` where it is missing.
+    /// Ordinal of the data packet among this sensor's, from 0; 2^64 - 1 where it is missing.
     pub packet: u64,
-    /// Azimuth at the firing's first shot, radians, 0..2 pi.
+    /// Azimuth at the firing's first shot, radians, 0 to 2 pi.
     pub azimuth_rad: f32,
     /// Turning rate during the firing, radians a second; negative when reversed.
     pub azimuth_rate_rad_s: f32,
-    /// First shot after the sweep's first shot, nanoseconds.
+    /// Its first shot, nanoseconds after the sweep's first shot.
     pub time_ns: u32,
     /// First block of the firing in its packet.
     pub block: u8,
-    /// [`ColumnStatus`].
+    /// A [`ColumnStatus`].
     pub status: u8,
     _reserved: [u8; 2],
 }
 
-/// What a column holds.
+/// The [`Column::status`]: what a column holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum ColumnStatus {
@@ -384,7 +383,7 @@ pub struct BeamRow {
     pub elevation_rad: f32,
     /// Subtracted from the azimuth, radians.
     pub rotation_rad: f32,
-    /// Shot after the firing's first, nanoseconds.
+    /// Its shot, nanoseconds after the firing's first shot.
     pub time_offset_ns: u32,
     /// Height of the beam's origin, metres.
     pub vertical_offset_m: f32,
@@ -392,7 +391,7 @@ pub struct BeamRow {
     pub horizontal_offset_m: f32,
     /// Columns from a pixel of this row to the firing that it belongs to.
     pub shift: i32,
-    /// Added to the measured distance, metres.
+    /// Added to the measured distance (it is already part of the range), metres.
     pub distance_offset_m: f32,
     /// The same for x at the near end of the two-point correction; equal where there is none.
     pub distance_offset_x_m: f32,
@@ -418,7 +417,7 @@ impl BeamRow {
 #[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, KnownLayout, Immutable)]
 #[repr(C)]
 pub struct Segment {
-    /// Label of its pixels, from 2.
+    /// Label of its pixels, from [`LABEL_FIRST_SEGMENT`].
     pub label: u32,
     /// Pixels with a return in the segmented plane.
     pub points: u32,

@@ -8,10 +8,10 @@ use zerocopy::{FromBytes, FromZeros, Immutable, IntoBytes, KnownLayout};
 use super::Pose;
 use super::layout::{LayoutError, Segment, padded, text};
 
-/// Version of these bytes.
+/// Version of a message of objects.
 pub const OBJECTS_VERSION: u32 = 1;
 
-/// The first bytes of a message.
+/// First bytes of a message of objects.
 pub const OBJECTS_MAGIC: [u8; 8] = *b"objects\n";
 
 /// Most bytes of a message: a longer one is split.
@@ -23,15 +23,16 @@ pub mod why {
     pub const COMPLETE: u32 = 1;
     /// A whole segment that is published with its complete sweep.
     pub const SWEEP: u32 = 2;
-    /// A part of an object that is wider than the limit and still grows.
+    /// A part of an object wider than `max_object_deg`, published while the object grows; that is 60
+    /// degrees by default.
     pub const WIDE: u32 = 3;
     /// An object across the cut or close behind it, with its returns of the previous turn; in parts
-    /// if it is wider than the limit. The table of its sweep has the segment there as it is at the
-    /// end of the turn.
+    /// if it is wider than `max_object_deg`. The table of its sweep has the segment there as it is at
+    /// the end of the turn.
     pub const SEAM: u32 = 4;
 }
 
-/// Bits of [`ObjectsHeader::flags`].
+/// Properties of a message of objects, as bits of [`ObjectsHeader::flags`].
 pub mod flags {
     /// The last message of the sweep: all its objects and their labels have been sent.
     pub const LAST: u32 = 1;
@@ -117,7 +118,7 @@ pub struct ObjectsHeader {
     pub sent_ns: i64,
     /// CLOCK_MONOTONIC at the same moment.
     pub sent_monotonic_ns: i64,
-    /// Code of the [`TimeSource`](super::layout::TimeSource).
+    /// Which clock `time_ns` is in: a [`TimeSource`](super::layout::TimeSource).
     pub time_source: u32,
     /// Bits of [`flags`].
     pub flags: u32,

@@ -162,37 +162,33 @@ impl std::fmt::Display for Model {
     }
 }
 
-/// The return mode (byte 1204); sent by a VLP-16 since firmware 3.0.29, by an HDL-32E since 2.2.20.
+/// The return mode.
+///
+/// Byte 1204 of a packet; sent by a VLP-16 since firmware 3.0.29, by an HDL-32E since 2.2.20.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReturnMode {
-    /// One return a record: the strongest.
-    Strongest,
-    /// One return a record: the last.
-    Last,
-    /// Two returns: blocks come in pairs of equal azimuth, even = last, odd = strongest; where the
-    /// last is the strongest, the odd one holds the second strongest, and both are equal where
-    /// there is one return (VLP-16 manual, section 6).
-    Dual,
+    /// The strongest return of each shot.
+    Strongest = 0x37,
+    /// The last return of each shot.
+    Last = 0x38,
+    /// Two returns of each shot.
+    ///
+    /// Blocks come in pairs of equal azimuth, even = last, odd = strongest; where the last is the
+    /// strongest, the odd one holds the second strongest, and both are equal where there is one
+    /// return (VLP-16 manual, section 6).
+    Dual = 0x39,
 }
 
 impl ReturnMode {
     /// The mode of a factory byte; `None` for a blank or unknown one.
     pub fn from_byte(byte: u8) -> Option<Self> {
-        match byte {
-            0x37 => Some(Self::Strongest),
-            0x38 => Some(Self::Last),
-            0x39 => Some(Self::Dual),
-            _ => None,
-        }
+        let modes = [Self::Strongest, Self::Last, Self::Dual];
+        modes.into_iter().find(|mode| mode.byte() == byte)
     }
 
     /// The factory byte of this mode.
     pub fn byte(self) -> u8 {
-        match self {
-            Self::Strongest => 0x37,
-            Self::Last => 0x38,
-            Self::Dual => 0x39,
-        }
+        self as u8
     }
 
     /// Its name in output: `strongest`, `last` or `dual`.

@@ -8,68 +8,102 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-MAGIC = b"sweepd\r\n"
-LAYOUT_VERSION = 3
-ALIGN = 64
-# Of a message of objects.
-OBJECTS_MAGIC = b"objects\n"
-OBJECTS_VERSION = 1
-
-# Bits of header["flags"].
-PARTIAL = 1 << 0
-CIRCULAR = 1 << 1
-REVERSED = 1 << 2
-BLANKED = 1 << 3
-RATE_UNSTABLE = 1 << 4
-STOPPED = 1 << 5
-HEIGHT_ESTIMATED = 1 << 6
-LOSS_ESTIMATED = 1 << 7
-# Labels; segments count from the last one on.
-LABEL_NONE, LABEL_GROUND, LABEL_FIRST_SEGMENT = 0, 1, 2
-# header["time_source"]
-TIME_HOST, TIME_GPS = 0, 1
-# header["return_mode"]
-MODE_STRONGEST, MODE_LAST, MODE_DUAL = 0x37, 0x38, 0x39
-# header["return_choice"]
-CHOICE_NEAREST, CHOICE_STRONGEST, CHOICE_LAST = 0, 1, 2
-# columns["status"]
-COLUMN_MEASURED, COLUMN_MISSING, COLUMN_UNFIRED = 1, 2, 3
-# A byte of `kind`: one of the first two, and perhaps the bit.
-KIND_STRONGEST, KIND_LAST, KIND_SECOND_BLOCKS = 1, 2, 4
-
-# Bits of the flags of objects.
-OBJECTS_LAST = 1 << 0
-OBJECTS_NO_HEIGHT = 1 << 1
-OBJECTS_PARTIAL = 1 << 2
-# objects["why"]; the first two are segments of the table.
-WHY_COMPLETE, WHY_SWEEP, WHY_WIDE, WHY_SEAM = 1, 2, 3, 4
-
-(
-    PART_RANGE,
-    PART_REFLECTIVITY,
-    PART_LABEL,
-    PART_RANGE2,
-    PART_REFLECTIVITY2,
-    PART_LABEL2,
-    PART_KIND,
-    PART_COLUMNS,
-    PART_BEAMS,
-    PART_SEGMENTS,
-) = range(10)
-
 # The two-point correction of an HDL-64E ends at the first; its offsets for x and y were measured at the others, metres.
 FAR_M, NEAR_X_M, NEAR_Y_M = 25.04, 2.40, 1.93
 
+# Written from the Rust types by SWEEPD_WRITE_PAGES=1 cargo test -p sweepd-sweep --test fields.
+# begin fields: all
+# What all sweeps have in common.
+MAGIC = b"sweepd\r\n"
+LAYOUT_VERSION = 3
+ALIGN = 64
+
+# Labels of a pixel; segments count from the last one on.
+LABEL_NONE = 0
+LABEL_GROUND = 1
+LABEL_FIRST_SEGMENT = 2
+
+# Properties of a sweep, as bits of flags.
+PARTIAL = 1
+CIRCULAR = 2
+REVERSED = 4
+BLANKED = 8
+RATE_UNSTABLE = 16
+STOPPED = 32
+HEIGHT_ESTIMATED = 64
+LOSS_ESTIMATED = 128
+
+# Which clock time_ns is in.
+TIME_HOST = 0
+TIME_GPS = 1
+
+# Which of two returns is segmented.
+CHOICE_NEAREST = 0
+CHOICE_STRONGEST = 1
+CHOICE_LAST = 2
+
+# The parts of a sweep behind its header.
+PART_RANGE = 0
+PART_REFLECTIVITY = 1
+PART_LABEL = 2
+PART_RANGE2 = 3
+PART_REFLECTIVITY2 = 4
+PART_LABEL2 = 5
+PART_KIND = 6
+PART_COLUMNS = 7
+PART_BEAMS = 8
+PART_SEGMENTS = 9
+
+# Which of a pair of dual returns a plane holds.
+KIND_STRONGEST = 1
+KIND_LAST = 2
+KIND_SECOND_BLOCKS = 4
+
+# The status: what a column holds.
+COLUMN_MEASURED = 1
+COLUMN_MISSING = 2
+COLUMN_UNFIRED = 3
+
+# A supported sensor model.
+MODEL_VLP16 = 1
+MODEL_PUCK_LITE = 2
+MODEL_PUCK_HIRES = 3
+MODEL_HDL32E = 4
+MODEL_HDL64E_S2 = 5
+MODEL_HDL64E_S3 = 6
+MODEL_VLP32C = 7
+MODEL_VLS128 = 8
+
+# The return mode.
+MODE_STRONGEST = 0x37
+MODE_LAST = 0x38
+MODE_DUAL = 0x39
+
+# What all messages of objects have in common.
+OBJECTS_VERSION = 1
+OBJECTS_MAGIC = b"objects\n"
+
+# Why an object is emitted.
+WHY_COMPLETE = 1
+WHY_SWEEP = 2
+WHY_WIDE = 3
+WHY_SEAM = 4
+
+# Properties of a message of objects, as bits of flags.
+OBJECTS_LAST = 1
+OBJECTS_NO_HEIGHT = 2
+OBJECTS_PARTIAL = 4
+
 HEADER = np.dtype([
     ("magic", "V8"), ("version", "<u4"), ("header_bytes", "<u4"), ("total_bytes", "<u8"), ("offsets", "<u8", (10,)),
-    ("rows", "<u4"), ("columns", "<u4"), ("columns_capacity", "<u4"), ("segments", "<u4"), ("segments_capacity", "<u4"),
-    ("model", "<u4"), ("return_mode", "<u4"), ("return_choice", "<u4"), ("flags", "<u4"), ("time_source", "<u4"),
-    ("sequence", "<u8"), ("time_ns", "<i8"), ("duration_ns", "<u8"), ("sensor_time_ns", "<i8"), ("arrival_ns", "<i8"),
-    ("rpm", "<f4"), ("cut_azimuth_rad", "<f4"), ("height_m", "<f4"), ("pitch_rad", "<f4"), ("roll_rad", "<f4"),
-    ("missing_columns", "<u4"), ("lost_packets", "<u4"), ("packets", "<u4"), ("returns", "<u4"), ("ground", "<u4"),
-    ("decode_ns", "<u4"), ("ground_ns", "<u4"), ("label_ns", "<u4"), ("margin_columns", "<u4"),
-    ("unfired_columns", "<u4"), ("dropped_datagrams", "<u4"), ("yaw_rad", "<f4"), ("reserved_252", "<u4"),
-    ("position_m", "<f4", (3,)), ("reserved_268", "<u4"), ("completed_ns", "<i8"), ("completed_monotonic_ns", "<i8"),
+    ("rows", "<u4"), ("columns", "<u4"), ("columns_capacity", "<u4"), ("segments", "<u4"),
+    ("segments_capacity", "<u4"), ("model", "<u4"), ("return_mode", "<u4"), ("return_choice", "<u4"), ("flags", "<u4"),
+    ("time_source", "<u4"), ("sequence", "<u8"), ("time_ns", "<i8"), ("duration_ns", "<u8"), ("sensor_time_ns", "<i8"),
+    ("arrival_ns", "<i8"), ("rpm", "<f4"), ("cut_azimuth_rad", "<f4"), ("height_m", "<f4"), ("pitch_rad", "<f4"),
+    ("roll_rad", "<f4"), ("missing_columns", "<u4"), ("lost_packets", "<u4"), ("packets", "<u4"), ("returns", "<u4"),
+    ("ground", "<u4"), ("decode_ns", "<u4"), ("ground_ns", "<u4"), ("label_ns", "<u4"), ("margin_columns", "<u4"),
+    ("unfired_columns", "<u4"), ("dropped_datagrams", "<u4"), ("yaw_rad", "<f4"), ("reserved_252", "V4"),
+    ("position_m", "<f4", (3,)), ("reserved_268", "V4"), ("completed_ns", "<i8"), ("completed_monotonic_ns", "<i8"),
     ("run_ns", "<i8"), ("sensor", "S64"), ("name", "S64"), ("reserved_424", "V24"),
 ])  # fmt: skip
 COLUMN = np.dtype([
@@ -86,16 +120,19 @@ SEGMENT = np.dtype([
     ("nearest_m", "<f4"), ("row_first", "<u2"), ("row_last", "<u2"), ("column_first", "<u4"), ("column_last", "<u4"),
     ("reserved_60", "V4"),
 ])  # fmt: skip
-OBJECTS_HEADER = np.dtype([
-    ("magic", "V8"), ("version", "<u4"), ("header_bytes", "<u4"), ("sequence", "<u8"), ("run_ns", "<i8"),
-    ("time_ns", "<i8"), ("sent_ns", "<i8"), ("sent_monotonic_ns", "<i8"), ("time_source", "<u4"), ("flags", "<u4"),
-    ("objects", "<u4"), ("first_ordinal", "<u4"), ("labels", "<u4"), ("first_label", "<u4"), ("position_m", "<f4", (3,)),
-    ("yaw_rad", "<f4"), ("pitch_rad", "<f4"), ("roll_rad", "<f4"), ("reserved_104", "V24"), ("name", "S64"),
-])  # fmt: skip
 OBJECT = np.dtype([
     ("segment", SEGMENT), ("first_pixel", "<u4"), ("ordinal", "<u4"), ("why", "<u4"), ("azimuth_first_rad", "<f4"),
     ("azimuth_last_rad", "<f4"), ("first_ns", "<i4"), ("last_ns", "<i4"), ("reserved_92", "V4"),
 ])  # fmt: skip
+OBJECTS_HEADER = np.dtype([
+    ("magic", "V8"), ("version", "<u4"), ("header_bytes", "<u4"), ("sequence", "<u8"), ("run_ns", "<i8"),
+    ("time_ns", "<i8"), ("sent_ns", "<i8"), ("sent_monotonic_ns", "<i8"), ("time_source", "<u4"), ("flags", "<u4"),
+    ("objects", "<u4"), ("first_ordinal", "<u4"), ("labels", "<u4"), ("first_label", "<u4"),
+    ("position_m", "<f4", (3,)), ("yaw_rad", "<f4"), ("pitch_rad", "<f4"), ("roll_rad", "<f4"),
+    ("reserved_104", "V24"), ("name", "S64"),
+])  # fmt: skip
+# end fields
+
 LABEL = np.dtype("<u4")
 
 
@@ -110,12 +147,14 @@ class LayoutError(SweepdError):
 class Preamble(ctypes.Structure):
     """What stands in front of the bytes of a sweep in shared memory: iceoryx2's user header."""
 
+    # begin fields: Preamble
     _fields_ = (
         ("layout_version", ctypes.c_uint32),
         ("reserved_4", ctypes.c_uint32),
         ("sweep_bytes", ctypes.c_uint64),
         ("reserved_16", ctypes.c_uint8 * 48),
     )
+    # end fields
 
     @staticmethod
     def type_name() -> str:

@@ -1,11 +1,19 @@
 // A sweep's bytes, read as docs/layout.md defines them. Lengths are metres, angles radians, times nanoseconds; x is
 // right of the sensor, y forward, z up.
 
+// Written from the Rust types by SWEEPD_WRITE_PAGES=1 cargo test -p sweepd-sweep --test fields.
+// begin fields: all
+// What all sweeps have in common.
 export const MAGIC = "sweepd\r\n";
 export const LAYOUT_VERSION = 3;
 export const ALIGN = 64;
 
-// Bits of header.flags.
+// Labels of a pixel; segments count from the last one on.
+export const LABEL_NONE = 0;
+export const LABEL_GROUND = 1;
+export const LABEL_FIRST_SEGMENT = 2;
+
+// Properties of a sweep, as bits of flags.
 export const PARTIAL = 1;
 export const CIRCULAR = 2;
 export const REVERSED = 4;
@@ -15,34 +23,16 @@ export const STOPPED = 32;
 export const HEIGHT_ESTIMATED = 64;
 export const LOSS_ESTIMATED = 128;
 
-export const LABEL_NONE = 0;
-export const LABEL_GROUND = 1;
-export const LABEL_FIRST_SEGMENT = 2;
-
-// header.time_source
+// Which clock time_ns is in.
 export const TIME_HOST = 0;
 export const TIME_GPS = 1;
 
-// header.return_mode
-export const MODE_STRONGEST = 0x37;
-export const MODE_LAST = 0x38;
-export const MODE_DUAL = 0x39;
-
-// header.return_choice
+// Which of two returns is segmented.
 export const CHOICE_NEAREST = 0;
 export const CHOICE_STRONGEST = 1;
 export const CHOICE_LAST = 2;
 
-// columns: status
-export const COLUMN_MEASURED = 1;
-export const COLUMN_MISSING = 2;
-export const COLUMN_UNFIRED = 3;
-
-// A byte of the plane `kind`: one of the first two, and perhaps the bit.
-export const KIND_STRONGEST = 1;
-export const KIND_LAST = 2;
-export const KIND_SECOND_BLOCKS = 4;
-
+// The parts of a sweep behind its header.
 export const PART_RANGE = 0;
 export const PART_REFLECTIVITY = 1;
 export const PART_LABEL = 2;
@@ -53,6 +43,21 @@ export const PART_KIND = 6;
 export const PART_COLUMNS = 7;
 export const PART_BEAMS = 8;
 export const PART_SEGMENTS = 9;
+
+// Which of a pair of dual returns a plane holds.
+export const KIND_STRONGEST = 1;
+export const KIND_LAST = 2;
+export const KIND_SECOND_BLOCKS = 4;
+
+// The status: what a column holds.
+export const COLUMN_MEASURED = 1;
+export const COLUMN_MISSING = 2;
+export const COLUMN_UNFIRED = 3;
+
+// The return mode.
+export const MODE_STRONGEST = 0x37;
+export const MODE_LAST = 0x38;
+export const MODE_DUAL = 0x39;
 
 /** The structs of the layout: offset, type and name of each field, and the bytes of the whole. */
 export const HEADER = {
@@ -152,6 +157,7 @@ export const SEGMENT = {
 export const MODELS = [
   "unknown model", "VLP-16", "Puck LITE", "Puck Hi-Res", "HDL-32E", "HDL-64E S2", "HDL-64E S3", "VLP-32C", "VLS-128",
 ];
+// end fields
 
 // The two-point correction of an HDL-64E: from where on there is one offset, and where the others were measured.
 const FAR_M = 25.04;
@@ -390,6 +396,9 @@ export class Points {
   }
 }
 
+// Where the fields of a column are.
+const AT = Object.fromEntries(COLUMN.fields.map(([offset, , name]) => [name, offset]));
+
 /** The table of columns as arrays; `packets` is read when it is asked for. */
 class Columns {
   constructor(view, start, count) {
@@ -402,17 +411,17 @@ class Columns {
     this.status = new Uint8Array(count);
     for (let column = 0; column < count; column++) {
       const at = start + column * COLUMN.bytes;
-      this.azimuth[column] = view.getFloat32(at + 8, true);
-      this.rate[column] = view.getFloat32(at + 12, true);
-      this.time[column] = view.getUint32(at + 16, true);
-      this.block[column] = view.getUint8(at + 20);
-      this.status[column] = view.getUint8(at + 21);
+      this.azimuth[column] = view.getFloat32(at + AT.azimuth_rad, true);
+      this.rate[column] = view.getFloat32(at + AT.azimuth_rate_rad_s, true);
+      this.time[column] = view.getUint32(at + AT.time_ns, true);
+      this.block[column] = view.getUint8(at + AT.block);
+      this.status[column] = view.getUint8(at + AT.status);
     }
   }
 
   /** Ordinal of a column's data packet among the sensor's. */
   packet(column) {
-    return this.view.getBigUint64(this.start + column * COLUMN.bytes, true);
+    return this.view.getBigUint64(this.start + column * COLUMN.bytes + AT.packet, true);
   }
 }
 
