@@ -20,8 +20,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use sweepd::capture::{Capture, UdpConfig, UdpSource};
 use sweepd::client::{Client, Domain};
+use sweepd::input::{Capture, UdpConfig, UdpSource};
 use sweepd::sensor::model::Spec;
 use sweepd::sensor::{Model, ModelExt};
 use sweepd::wire::DataPacket;

@@ -18,7 +18,7 @@ use sweepd::assemble::decode::Decoder;
 use sweepd::assemble::order::PacketOrder;
 use sweepd::buffers::OpenBuffer;
 use sweepd::buffers::{HeapBuffers, Memory};
-use sweepd::capture::Capture;
+use sweepd::input::Capture;
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::{Calibration, Model, ModelExt};
 use sweepd::sweep::SweepRef;

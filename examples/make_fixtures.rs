@@ -9,7 +9,7 @@ use std::io::{BufWriter, Result, Write};
 use std::path::Path;
 
 use flate2::{Compression, GzBuilder};
-use sweepd::capture::write::{Addressed, PcapWriter};
+use sweepd::input::write::{Addressed, PcapWriter};
 use sweepd_lab::simulate::Scene;
 use sweepd_lab::simulate::fixtures::{self, Counts, Fixture};
 

@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! socket | pcap | simulator -> Datagram -> Packet -> Column -> Sweep -> Labels + Segments -> shared memory | files
-//!          capture, simulate   wire        assemble  sweep      segment                      publish         export
+//!          input, simulate     wire        assemble  sweep      segment                      publish         export
 //! ```
 //!
 //! Everything from [`wire::Datagram`] to the segments is pure: bytes and time come in as arguments.
@@ -11,7 +11,7 @@
 //! it:
 //!
 //! ```
-//! use sweepd::capture::Capture;
+//! use sweepd::input::Capture;
 //! use sweepd::pipeline::{Config, Event, Pipeline};
 //! use sweepd::buffers::{HeapBuffers, Memory};
 //! use sweepd::sweep::{SweepRef};
@@ -79,7 +79,6 @@
 
 pub mod admission;
 mod beams;
-pub mod capture;
 pub mod cli;
 pub mod cure;
 pub mod daemon;
@@ -87,7 +86,9 @@ pub mod doctor;
 pub mod export;
 pub mod files;
 pub mod http;
+pub mod input;
 pub mod publish;
+pub mod recording;
 pub mod sensor_settings;
 pub mod streams;
 mod suggest;

@@ -10,7 +10,7 @@ use std::collections::VecDeque;
 use crate::admission::{
     Admitted, DiscoveredSensors, Refused, Route, Sender, SensorFilter, SensorSet,
 };
-use crate::capture::Placed;
+use crate::input::Placed;
 use sweepd_core::wire::Packet;
 
 /// What a program keeps of a sensor.

@@ -9,8 +9,8 @@ use std::process::{Command, Stdio};
 
 use tempfile::TempDir;
 
-use sweepd::capture::udp::ample_buffer_bytes;
 use sweepd::daemon::config::Config;
+use sweepd::input::udp::ample_buffer_bytes;
 
 /// The exposure that `systemd-analyze security` may give the unit, of 10. What is left is what the
 /// daemon needs: the network, the host's /dev/shm, real-time priorities.

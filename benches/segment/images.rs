@@ -9,7 +9,7 @@ use fastrand::Rng;
 use sweepd::admission::{DiscoveredSensors, Route};
 use sweepd::buffers::HeapBuffer;
 use sweepd::buffers::{Buffers, HeapBuffers, Memory};
-use sweepd::capture::Capture;
+use sweepd::input::Capture;
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::{Beam, Model};
 use sweepd::sweep::layout::{flags, is_return};

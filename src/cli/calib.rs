@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 use super::output::ForceOptions;
 use super::{CliError, complain};
 use crate::admission::{Sender, SensorFilter};
-use crate::capture::{Capture, Placed};
 use crate::files;
 use crate::files::output;
+use crate::input::{Capture, Placed};
 use crate::streams::{Stream, Streams};
 use crate::text::{count_of, grouped};
 use sweepd_core::sensor::compare::{

@@ -5,11 +5,11 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use crate::capture::{CaptureError, UdpError};
 use crate::daemon::DaemonError;
 use crate::daemon::config::ConfigError;
 use crate::daemon::record::client::RemoteRecordError;
 use crate::files::{CalibrationFileError, WriteError};
+use crate::input::{CaptureError, UdpError};
 use crate::publish::PublishError;
 use sweepd_client::client::ClientError;
 

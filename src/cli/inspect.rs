@@ -17,8 +17,8 @@ use turns::Turns;
 
 use super::CliError;
 use crate::admission::{DiscoveredSensors, Refused, Route, Sender};
-use crate::capture::{Capture, LinkType, Placed};
 use crate::cure::{Dialect, explain_model};
+use crate::input::{Capture, LinkType, Placed};
 use crate::streams::{Stream, Streams};
 use crate::text::{count_of, grouped, rate, row, utc_text};
 use sweepd_core::assemble::motion::{Sector, TURN};

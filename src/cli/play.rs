@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 use super::CliError;
 use super::options::within;
-use crate::capture::Speed;
+use crate::input::Speed;
 
 /// Greatest time of a capture in options, seconds: 31 years.
 const LONGEST_S: f64 = 1e9;

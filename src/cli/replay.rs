@@ -14,7 +14,7 @@ use self::sweeps::{Finisher, Writer};
 use self::track::Setup;
 use super::output::Outputs;
 use super::{CliError, jobs};
-use crate::capture::{Capture, CaptureError};
+use crate::input::{Capture, CaptureError};
 use crate::streams::Streams;
 
 pub use args::Args;

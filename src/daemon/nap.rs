@@ -9,8 +9,8 @@
 
 use std::time::{Duration, Instant};
 
-use crate::capture::udp::ReceiveBuffer;
-use crate::capture::udp::buffer::PARTS;
+use crate::input::udp::ReceiveBuffer;
+use crate::input::udp::buffer::PARTS;
 
 /// Longest nap, a turn at 10 Hz: each wake-up costs as much as decoding some packets.
 pub const LONGEST: Duration = Duration::from_millis(100);
@@ -86,7 +86,7 @@ pub struct Senders {
 /// overflow and that the gathered packets take at most 2.1 ms.
 ///
 /// `filled_ns` is the shortest time of the last seconds in which a part of the buffer was filled
-/// ([`UdpSource::shortest_filling_ns`](crate::capture::UdpSource::shortest_filling_ns)). The
+/// ([`UdpSource::shortest_filling_ns`](crate::input::UdpSource::shortest_filling_ns)). The
 /// configured sensors alone fill a part more slowly than the other terms allow. A shorter time
 /// means that others send too; their next burst must not last longer than it takes to fill the
 /// buffer during a nap.
@@ -124,8 +124,8 @@ pub fn length_ns(until_due_ns: i64, longest_ns: i64, load: &Load) -> i64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::capture::record::{OPENING, PERIOD};
-    use crate::capture::udp::buffer::CHARGED_BYTES;
+    use crate::input::udp::buffer::CHARGED_BYTES;
+    use crate::recording::{OPENING, PERIOD};
 
     const MS: i64 = 1_000_000;
 

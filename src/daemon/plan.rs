@@ -4,7 +4,7 @@ use std::fmt;
 
 use super::config::{Config, PortConfig, SensorConfig};
 use crate::admission::{ConfiguredSensor, ConfiguredSensors, Likelihood};
-use crate::capture::udp::{UdpConfig, ample_buffer_bytes};
+use crate::input::udp::{UdpConfig, ample_buffer_bytes};
 use sweepd_core::sensor::Model;
 
 /// A port to open, and the thread that serves it.

@@ -24,7 +24,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 
-use crate::capture::UdpError;
+use crate::input::UdpError;
 use observe::PortResult;
 
 pub use diagnose::diagnose;

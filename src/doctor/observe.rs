@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use serde_json::Value;
 
 use super::plan::{ExaminedPort, ExpectedSensor, Plan};
-use crate::capture::udp::ReceiveBuffer;
+use crate::input::udp::ReceiveBuffer;
 use crate::sensor_settings::FieldOfView;
 use crate::web_interface::Page;
 use sweepd_core::pipeline::{Counts, DarkBeam};

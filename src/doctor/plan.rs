@@ -3,9 +3,9 @@
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 
-use crate::capture::UdpConfig;
-use crate::capture::udp::ample_buffer_bytes;
 use crate::daemon::config::{Config, PortConfig, SensorConfig};
+use crate::input::UdpConfig;
+use crate::input::udp::ample_buffer_bytes;
 use crate::sensor_settings::Settings;
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::{DATA_PORT, POSITION_PORT};

@@ -7,8 +7,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use sweepd::capture::Capture;
-use sweepd::capture::db3::{PATIENCE, Reader};
+use sweepd::input::Capture;
+use sweepd::input::db3::{PATIENCE, Reader};
 use sweepd_lab::testkit::tool;
 
 use crate::common::data_dir;

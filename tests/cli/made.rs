@@ -5,8 +5,8 @@ use std::net::SocketAddrV4;
 
 use flate2::Compression;
 use flate2::write::GzEncoder;
-use sweepd::capture::write::Addressed;
-use sweepd::capture::{Capture, PcapWriter};
+use sweepd::input::write::Addressed;
+use sweepd::input::{Capture, PcapWriter};
 use sweepd::wire::data::{DataPacket, FLAG_BANK_1};
 
 /// A datagram of a capture.

@@ -2,7 +2,7 @@
 
 use sweepd::admission::DiscoveredSensors;
 use sweepd::buffers::{Buffers, HeapBuffers, Memory};
-use sweepd::capture::Capture;
+use sweepd::input::Capture;
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sweep::layout::flags;
 use sweepd::sweep::{Header, SweepRef};

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, Command, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 
-use sweepd::capture::{Capture, CaptureReader};
+use sweepd::input::{Capture, CaptureReader};
 use sweepd::wire::Datagram;
 
 use crate::common::run::Run;

@@ -5,8 +5,8 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
 
-use sweepd::capture::PcapWriter;
-use sweepd::capture::write::Addressed;
+use sweepd::input::PcapWriter;
+use sweepd::input::write::Addressed;
 use sweepd::sensor::{Calibration, stream};
 use sweepd::wire::DataPacket;
 use sweepd::wire::data::FLAG_BANK_1;

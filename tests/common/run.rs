@@ -6,7 +6,7 @@ use std::path::Path;
 use sweepd::admission::{DiscoveredSensors, Refused};
 use sweepd::buffers::HeapBuffer;
 use sweepd::buffers::{HeapBuffers, Memory};
-use sweepd::capture::Capture;
+use sweepd::input::Capture;
 use sweepd::pipeline::{Config, Counts, Event, Fault, Notice, Options, Pipeline};
 use sweepd::segment::objects::MAX_WIDTH_RAD;
 use sweepd::sensor::detect::Detection;

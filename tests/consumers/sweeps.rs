@@ -3,7 +3,7 @@
 use sweepd::admission::DiscoveredSensors;
 use sweepd::buffers::HeapBuffer;
 use sweepd::buffers::{Buffers, HeapBuffers, Memory};
-use sweepd::capture::Capture;
+use sweepd::input::Capture;
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::Model;
 use sweepd::sweep::SweepRef;

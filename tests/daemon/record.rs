@@ -10,7 +10,7 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
-use sweepd::capture::Capture;
+use sweepd::input::Capture;
 use sweepd::publish::Domain;
 use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode;

@@ -4,9 +4,9 @@ use std::io::Write;
 use std::path::Path;
 
 use sweepd::buffers::{Buffers, HeapBuffers};
-use sweepd::capture::db3::{End, Frame};
-use sweepd::capture::write::Addressed;
-use sweepd::capture::{Capture, PcapWriter};
+use sweepd::input::db3::{End, Frame};
+use sweepd::input::write::Addressed;
+use sweepd::input::{Capture, PcapWriter};
 use sweepd::sensor::{Model, ModelExt, ros_yaml};
 use sweepd::sweep::layout::Column;
 use sweepd::sweep::{Shape, SweepMut};

@@ -5,7 +5,7 @@ use std::io::Cursor;
 use std::path::Path;
 
 use crate::common::bags::{self, ROS1_SCAN, mcap, ros1, ros1_scan};
-use sweepd::capture::{Capture, CaptureCounts};
+use sweepd::input::{Capture, CaptureCounts};
 use sweepd_lab::testkit::scan::{SCAN, Stamped, cdr};
 
 const S: i64 = 1_000_000_000;

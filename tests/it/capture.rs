@@ -9,9 +9,9 @@ use pcap_parser::traits::PcapReaderIterator;
 use pcap_parser::{LegacyPcapReader, PcapBlockOwned, PcapError};
 use sweepd::admission::{DiscoveredSensors, Route};
 use sweepd::buffers::{HeapBuffers, Memory};
-use sweepd::capture::{Capture, CaptureReader, LinkType};
 use sweepd::daemon::counters::SensorCounters;
 use sweepd::daemon::losses::{Limits, Losses, WINDOW};
+use sweepd::input::{Capture, CaptureReader, LinkType};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::wire::Packet;
 

@@ -7,7 +7,7 @@ use crate::common::data_dir_if_any;
 use crate::common::objects::{Listener, Tally};
 use sweepd::admission::{DiscoveredSensors, Refused};
 use sweepd::buffers::{HeapBuffers, Memory};
-use sweepd::capture::Capture;
+use sweepd::input::Capture;
 use sweepd::pipeline::{Config, Event, Pipeline};
 use sweepd::segment::objects::MAX_WIDTH_RAD;
 use sweepd::sensor::Model::{self, Hdl32e, Hdl64eS2, Hdl64eS3, Vlp16, Vlp32c, Vls128};

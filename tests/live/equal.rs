@@ -11,8 +11,8 @@ use std::time::{Duration, Instant};
 use sweepd_lab::testkit::stream::next_sweep;
 
 use sweepd::buffers::{HeapBuffers, Memory};
-use sweepd::capture::Capture;
 use sweepd::client::Client;
+use sweepd::input::Capture;
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sweep::SweepRef;
 

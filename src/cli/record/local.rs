@@ -11,13 +11,13 @@ use super::args::Args;
 use super::live::{TICK, announce, describe, live_line, recovery_watch};
 use super::report::{InputReport, Report};
 use crate::admission::DiscoveredSensors;
-use crate::capture::record::{Feed, Recorder, RecorderConfig};
-use crate::capture::udp::ample_buffer_bytes;
-use crate::capture::{UdpConfig, UdpError, UdpSource};
 use crate::cli::options::Listening;
 use crate::cli::{CliError, complain};
 use crate::daemon::record::protocol::{Progress, Received};
 use crate::files::output::open_special;
+use crate::input::udp::ample_buffer_bytes;
+use crate::input::{UdpConfig, UdpError, UdpSource};
+use crate::recording::{Feed, Recorder, RecorderConfig};
 
 /// Records ports of this host until `over` is set, the time is up, or the disk fails.
 pub fn record(

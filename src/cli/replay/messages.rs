@@ -3,8 +3,8 @@
 use super::args::Args;
 use super::summary::SensorReport;
 use crate::admission::DiscoveredSensors;
-use crate::capture::{Capture, CaptureError};
 use crate::cli::complain;
+use crate::input::{Capture, CaptureError};
 use crate::text::count_of;
 
 /// Shows where the capture is damaged. Returns whether it could be read at all.

@@ -6,7 +6,7 @@ use std::io::{self, IsTerminal, Read};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use super::args::Args;
-use crate::capture::{Capture, CaptureError};
+use crate::input::{Capture, CaptureError};
 
 /// A progress bar; silent where standard error is no terminal, and where output for programs comes out beside it.
 pub(super) fn bar(args: &Args) -> ProgressBar {

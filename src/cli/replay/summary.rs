@@ -4,8 +4,8 @@ use std::io::{self, Write};
 
 use serde::Serialize;
 
-use crate::capture::Capture;
 use crate::cli::output::{StageUs, rounded, time_source_name};
+use crate::input::Capture;
 use crate::text::{count_of, grouped, row};
 use sweepd_core::pipeline::Counts;
 use sweepd_core::sensor::detect::Detection;

@@ -33,9 +33,9 @@ pub use self::recording::{Client, ClientView, RecordingStatus};
 use self::recording::{Drops, Origin, Recording, Target, explain, finish_failed};
 use super::config::RecordConfig;
 use super::counters::PortCounters;
-use crate::capture::record::{Feed, RecordCounts, Recorder};
-use crate::capture::write::Addressed;
 use crate::files::WriteError;
+use crate::input::write::Addressed;
+use crate::recording::{Feed, RecordCounts, Recorder};
 
 /// Most clients that are served at a time.
 pub const MAX_ON_DEMAND: usize = 4;

@@ -14,8 +14,8 @@ use serde::{Deserialize, Serialize};
 use tokio::net::UnixStream;
 
 use crate::admission::{DiscoveredSensors, Refusal, RefusalCounts, Sender};
-use crate::capture::record::RecordCounts;
 use crate::files::sequence::{Rotation, Written};
+use crate::recording::RecordCounts;
 
 /// Increased whenever a message changes.
 pub const VERSION: u32 = 3;

@@ -12,12 +12,12 @@ use tracing::{error, info, warn};
 
 use super::protocol::{Ended, Progress, Received, Request};
 use crate::admission::{DiscoveredSensors, SensorFilter};
-use crate::capture::record::{Accept, RecordCounts, Recorder, RecorderConfig};
 use crate::daemon::config::RecordConfig;
 use crate::daemon::counters::PortCounters;
 use crate::files::WriteError;
 use crate::files::output::{Existing, open_special};
 use crate::files::sequence::{RecoveryWatch, Rotation, Written};
+use crate::recording::{Accept, RecordCounts, Recorder, RecorderConfig};
 use crate::text::count_of;
 
 /// From one attempt to begin a recording that has failed to the next, at first and at most. One

@@ -13,9 +13,9 @@ use super::protocol::{Connection, Ended, Reply, VERSION};
 use super::server::{ControlServer, SocketError};
 use super::*;
 use crate::admission::Refusal;
-use crate::capture::Capture;
 use crate::files::WriteError;
 use crate::files::sequence::Rotation;
+use crate::input::Capture;
 use std::io;
 
 const SOON: Duration = Duration::from_secs(10);

@@ -5,11 +5,11 @@ use std::net::{Ipv4Addr, SocketAddr};
 use serde_json::json;
 
 use super::*;
-use crate::capture::udp::ReceiveBuffer;
 use crate::doctor::observe::{
     Host, Interface, ObservedPort, ObservedSensor, PositionSender, RootTrouble, Web,
 };
 use crate::doctor::plan::{ExaminedPort, ExpectedSensor, HEALTH, Plan};
+use crate::input::udp::ReceiveBuffer;
 use crate::sensor_settings::{
     FieldOfView, Host as Destination, PhaseLock, Port, Returns, Rpm, Settings, Switch,
 };

@@ -14,14 +14,14 @@ use mcap::records::MessageHeader as RecordHeader;
 use mcap::write::NoSeek;
 
 use super::{LIBRARY, POINTS, TOPICS, io_error, options};
-use crate::capture::bag::mcap::{
+use crate::files::parts::{self, Recovery};
+use crate::input::bag::mcap::{
     CHANNEL, CHUNK, ChannelRecord, ChunkHeader, DATA_END, HEADER, MAGIC, MAX_LEN, MESSAGE,
     MESSAGE_INDEX, SCHEMA, SUMMARY, SchemaRecord, split_bytes, split_text, split_u16, split_u32,
     split_u64,
 };
-use crate::capture::error::{Damage, Stop};
-use crate::capture::input::{Input, SharedInput};
-use crate::files::parts::{self, Recovery};
+use crate::input::error::{Damage, Stop};
+use crate::input::source::{Input, SharedInput};
 use sweepd_messages::names;
 
 /// Bytes of damage that are searched for chunks, and unpacked in vain, before the rest is left out:

@@ -12,9 +12,9 @@ use mcap::io::MessageReader;
 use mcap::sans_io::LinearReaderOptions;
 
 use super::*;
-use crate::capture::bag::mcap::MAGIC;
 use crate::export::test_scene::Scene;
 use crate::files::sequence::{RecoveryWatch, Rotation, Written};
+use crate::input::bag::mcap::MAGIC;
 
 /// The messages of sweeps of two sensors, a tenth of a second apart.
 fn messages(sweeps: u64) -> Vec<SweepMessages> {

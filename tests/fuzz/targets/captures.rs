@@ -4,8 +4,8 @@
 use std::io::{Cursor, ErrorKind};
 
 use sweepd::admission::DiscoveredSensors;
-use sweepd::capture::db3::{Frame, MAX_MESSAGE_LEN};
-use sweepd::capture::{Capture, CaptureCounts, CaptureError, Decapsulator, LinkType, NoDatagram};
+use sweepd::input::db3::{Frame, MAX_MESSAGE_LEN};
+use sweepd::input::{Capture, CaptureCounts, CaptureError, Decapsulator, LinkType, NoDatagram};
 
 use super::Numbers;
 

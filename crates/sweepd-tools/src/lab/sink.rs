@@ -3,12 +3,12 @@
 use std::io;
 use std::path::Path;
 
-use sweepd::capture::record::file;
-use sweepd::capture::write::Addressed;
 use sweepd::cli::CliError;
 use sweepd::export::Existing;
 use sweepd::files::output::NewFile;
 use sweepd::files::sequence::{Contents, ending_of};
+use sweepd::input::write::Addressed;
+use sweepd::recording::file;
 
 /// An open capture, with errors that name it.
 pub struct CaptureFile {

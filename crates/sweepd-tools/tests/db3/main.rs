@@ -12,8 +12,8 @@ use std::process::{Command, Output, Stdio};
 use std::time::SystemTime;
 
 use rusqlite::Connection;
-use sweepd::capture::db3::{PATIENCE, Reader};
-use sweepd::capture::{Capture, CaptureError};
+use sweepd::input::db3::{PATIENCE, Reader};
+use sweepd::input::{Capture, CaptureError};
 use sweepd_lab::testkit::scan::{SCAN, Stamped, cdr};
 use sweepd_lab::testkit::tool;
 

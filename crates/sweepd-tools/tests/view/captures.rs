@@ -6,7 +6,7 @@ use sweepd_lab::testkit::stream::next_sweep;
 
 use serde_json::json;
 use sweepd::buffers::{HeapBuffers, Memory};
-use sweepd::capture::Capture;
+use sweepd::input::Capture;
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::ros_yaml;
 use sweepd::sweep::SweepRef;

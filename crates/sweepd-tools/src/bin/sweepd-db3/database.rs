@@ -19,8 +19,8 @@ use rusqlite::config::DbConfig;
 use rusqlite::limits::Limit;
 use rusqlite::types::ValueRef;
 use rusqlite::{Connection, ErrorCode, OpenFlags};
-use sweepd::capture::Damage;
-use sweepd::capture::db3::{End, Frame, HEAD, MAX_MESSAGE_LEN, MAX_TOPICS, is_scans};
+use sweepd::input::Damage;
+use sweepd::input::db3::{End, Frame, HEAD, MAX_MESSAGE_LEN, MAX_TOPICS, is_scans};
 
 use crate::MAX_MEMORY;
 

@@ -13,7 +13,7 @@ use std::thread;
 use clap::Parser;
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::process::{Resource, getrlimit, setrlimit};
-use sweepd::capture::db3::End;
+use sweepd::input::db3::End;
 
 /// The most address space that this process may take, bytes.
 const MAX_MEMORY: u64 = 512 << 20;

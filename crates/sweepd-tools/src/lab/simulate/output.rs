@@ -4,11 +4,11 @@ use std::time::Instant;
 
 use super::args::Target;
 use crate::lab::sink::CaptureFile;
-use sweepd::capture::write::Addressed;
-use sweepd::capture::{Pacer, Speed};
 use sweepd::cli::CliError;
 use sweepd::cli::send::Sender;
 use sweepd::export::Existing;
+use sweepd::input::write::Addressed;
+use sweepd::input::{Pacer, Speed};
 use sweepd_core::wire::DATA_PORT;
 use sweepd_lab::simulate::SimulatedDatagram;
 

@@ -8,8 +8,8 @@ use std::sync::Arc;
 
 use super::simulation::Simulation;
 use sweepd::admission::SensorFilter;
-use sweepd::capture::{Capture, CaptureError, Placed};
 use sweepd::cure::{Dialect, explain};
+use sweepd::input::{Capture, CaptureError, Placed};
 use sweepd::streams::{SteadyTime, Stream, Streams};
 use sweepd_client::host::monotonic_ns;
 use sweepd_core::buffers::HeapBuffer;

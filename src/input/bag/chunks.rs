@@ -4,8 +4,8 @@
 use std::io::Cursor;
 
 use super::mcap::ChunkHeader;
-use crate::capture::error::{Damage, Place, Stop};
-use crate::capture::input::{Input, SharedInput};
+use crate::input::error::{Damage, Place, Stop};
+use crate::input::source::{Input, SharedInput};
 
 /// A stream of records.
 pub(super) struct Chunks {

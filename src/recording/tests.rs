@@ -2,7 +2,7 @@ use std::cell::Cell;
 use std::time::Instant;
 
 use super::*;
-use crate::capture::Capture;
+use crate::input::Capture;
 
 const SECOND_NS: i64 = 1_000_000_000;
 

@@ -25,10 +25,10 @@ use std::time::{Duration, Instant};
 
 use self::file::CaptureFile;
 use self::ring::{Consumer, Producer, ring};
-use crate::capture::write::Addressed;
 use crate::files::WriteError;
 use crate::files::output::Existing;
 use crate::files::sequence::{RecoveryWatch, Rotation, Sequence, Written};
+use crate::input::write::Addressed;
 
 /// Capacity of a feed, bytes: 4.7 s of an HDL-64E S3 with two returns, 1.4 s of such a VLS-128. The memory is taken only when it is first
 /// used.
@@ -60,8 +60,8 @@ pub struct RecordCounts {
 /// A running recording. Dropping it ends it as [`Recorder::finish`] does, but without a result.
 ///
 /// ```
-/// use sweepd::capture::record::{Recorder, RecorderConfig};
-/// use sweepd::capture::{Capture, write::Addressed};
+/// use sweepd::recording::{Recorder, RecorderConfig};
+/// use sweepd::input::{Capture, write::Addressed};
 ///
 /// # let folder = std::env::temp_dir().join(format!("sweepd-doc-{}", std::process::id()));
 /// # std::fs::create_dir_all(&folder)?;

@@ -1,4 +1,4 @@
-//! Reads datagrams from capture files and UDP ports, and writes captures.
+//! Reads datagrams from capture files and UDP ports; writes the same format.
 //!
 //! * [`pcap`]: the records of a pcap or pcapng file, plain or compressed.
 //! * [`link`]: the UDP datagram in a frame.
@@ -7,18 +7,16 @@
 //! * [`udp`]: the datagrams of live sensors.
 //! * [`pace`]: when to send each datagram of a replay.
 //! * [`mod@write`]: captures written.
-//! * [`record`]: records live sensors without delaying them.
 
 pub(crate) mod bag;
 pub mod db3;
 pub mod error;
 mod frame;
-pub(crate) mod input;
 pub mod link;
 pub mod pace;
 pub mod pcap;
 mod pcapng;
-pub mod record;
+pub(crate) mod source;
 pub mod udp;
 pub mod write;
 
@@ -28,10 +26,10 @@ use std::path::Path;
 use bag::{Bag, Step};
 pub use error::{CaptureError, Damage, Place, Truncation};
 pub use frame::Record;
-use input::{Input, Opened};
 pub use link::{Decapsulator, LinkType, NoDatagram};
 pub use pace::{Pacer, Speed};
 pub use pcap::CaptureReader;
+use source::{Input, Opened};
 use sweepd_core::wire::{DATA_PORT, Datagram};
 pub use udp::{UdpConfig, UdpError, UdpSource};
 pub use write::PcapWriter;
@@ -85,14 +83,14 @@ impl CaptureCounts {
 /// The datagrams of a capture, in its order.
 ///
 /// ```no_run
-/// let mut capture = sweepd::capture::Capture::open("drive.pcapng.gz")?;
+/// let mut capture = sweepd::input::Capture::open("drive.pcapng.gz")?;
 /// while let Some(datagram) = capture.next_datagram()? {
 ///     println!("{}: {} bytes from {}", datagram.arrival_ns, datagram.payload.len(), datagram.source);
 /// }
 /// if let Some(truncation) = capture.truncation() {
 ///     eprintln!("{truncation}");
 /// }
-/// # Ok::<(), sweepd::capture::CaptureError>(())
+/// # Ok::<(), sweepd::input::CaptureError>(())
 /// ```
 pub struct Capture {
     reader: Reader,

@@ -7,9 +7,9 @@ use flate2::Crc;
 use zerocopy::little_endian::{U32, U64};
 use zerocopy::{FromBytes, FromZeros, Immutable, IntoBytes, KnownLayout, Unaligned};
 
-use crate::capture::bag::bounded;
-use crate::capture::error::{Damage, Stop};
-use crate::capture::input::SharedInput;
+use crate::input::bag::bounded;
+use crate::input::error::{Damage, Stop};
+use crate::input::source::SharedInput;
 
 /// Most bytes of a chunk with a check sum, uncompressed: all of it is in memory before any of it is
 /// used. Recorders write some megabytes.

@@ -8,10 +8,10 @@ use std::sync::atomic::AtomicBool;
 use flate2::write::GzEncoder;
 use flate2::{Compression, GzBuilder};
 
-use crate::capture::CaptureReader;
-use crate::capture::write::{Addressed, FILE_HEADER_LEN, PcapWriter, record_len};
 use crate::files::parts::{self, Recovery};
 use crate::files::sequence::Contents;
+use crate::input::CaptureReader;
+use crate::input::write::{Addressed, FILE_HEADER_LEN, PcapWriter, record_len};
 
 /// The ending of a compressed capture.
 const GZIP: &str = ".pcap.gz";

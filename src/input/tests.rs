@@ -8,7 +8,7 @@ use flate2::write::GzEncoder;
 use proptest::prelude::*;
 use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 
-use super::input::ByteOrder;
+use super::source::ByteOrder;
 use super::testutil::*;
 use super::write::Addressed;
 use super::*;

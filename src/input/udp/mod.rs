@@ -66,7 +66,7 @@ impl UdpConfig {
 ///
 /// ```
 /// use std::time::Duration;
-/// use sweepd::capture::udp::{UdpConfig, UdpSource};
+/// use sweepd::input::udp::{UdpConfig, UdpSource};
 /// let mut source = UdpSource::bind(&UdpConfig { address: [127, 0, 0, 1].into(), ..UdpConfig::port(0) })?;
 /// let sender = std::net::UdpSocket::bind("127.0.0.1:0")?;
 /// sender.send_to(b"hello", source.local_addr())?;

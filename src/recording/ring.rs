@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use zerocopy::FromZeros;
 
-use crate::capture::write::Addressed;
+use crate::input::write::Addressed;
 
 const HEADING_WORDS: u64 = 3;
 const WORD_LEN: usize = size_of::<u64>();

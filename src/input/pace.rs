@@ -68,7 +68,7 @@ impl FromStr for Speed {
 ///
 /// ```
 /// use std::time::Duration;
-/// use sweepd::capture::pace::{Pacer, Speed};
+/// use sweepd::input::pace::{Pacer, Speed};
 /// let mut pacer = Pacer::new(Speed::Factor(2.0));
 /// assert_eq!(pacer.wait(5_000_000, 100), Duration::ZERO);
 /// assert_eq!(pacer.wait(7_000_000, 100), Duration::from_millis(1));

@@ -17,9 +17,9 @@ use std::path::Path;
 
 use super::error::{CaptureError, Damage, Place, Stop, Truncation};
 use super::frame::{FrameHeader, MAX_RECORD_LEN, Record};
-use super::input::{ByteOrder, HEAD_LEN, Input, Opened};
 use super::link::LinkType;
 use super::pcapng::Sections;
+use super::source::{ByteOrder, HEAD_LEN, Input, Opened};
 
 /// A capture file, read record by record; see [`CaptureReader::next`].
 pub struct CaptureReader {

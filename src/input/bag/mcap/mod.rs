@@ -24,8 +24,8 @@ pub(crate) use record::*;
 use super::chunks::Chunks;
 use super::scan::Encoding;
 use super::{Log, MAX_MESSAGE_LEN, Message, Topics};
-use crate::capture::error::{Damage, Place, Stop};
-use crate::capture::input::Input;
+use crate::input::error::{Damage, Place, Stop};
+use crate::input::source::Input;
 
 const MESSAGE_HEADER_LEN: u64 = 22;
 /// Names stand at the start of their record; more than this of it is not read.

@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 
 use super::db3;
 use super::error::{CaptureError, Damage, Place, Stop, Truncation};
-use super::input::{Input, Opened, SQLITE_MAGIC, ZSTD_MAGIC, read_full};
+use super::source::{Input, Opened, SQLITE_MAGIC, ZSTD_MAGIC, read_full};
 use scan::{Encoding, Scan};
 
 /// Most bytes of a message: ten thousand packets, many turns of any model.

@@ -1,4 +1,4 @@
-//! The databases of rosbag2, as the program of [`crate::capture::db3`] sends them. It is killed when
+//! The databases of rosbag2, as the program of [`crate::input::db3`] sends them. It is killed when
 //! it is silent for too long, and when its database is no longer read.
 
 use std::io::{BufReader, ErrorKind, Read};
@@ -11,8 +11,8 @@ use std::{io, thread};
 
 use super::scan::Encoding;
 use super::{Log, MAX_TOPICS, Message, Topics};
-use crate::capture::db3::{End, Frame, HEAD, PROGRAM, Reader, no_frame};
-use crate::capture::error::{CaptureError, Damage, Place, Stop};
+use crate::input::db3::{End, Frame, HEAD, PROGRAM, Reader, no_frame};
+use crate::input::error::{CaptureError, Damage, Place, Stop};
 use crate::tool;
 
 /// Most topics that are sent: those with scans, and as many others.
@@ -282,7 +282,7 @@ mod tests {
     use tempfile::TempDir;
 
     use super::*;
-    use crate::capture::db3::MAX_MESSAGE_LEN;
+    use crate::input::db3::MAX_MESSAGE_LEN;
 
     const SCAN: &str = "velodyne_msgs/msg/VelodyneScan";
 

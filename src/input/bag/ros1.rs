@@ -16,8 +16,8 @@ use std::collections::HashMap;
 use super::chunks::Chunks;
 use super::scan::Encoding;
 use super::{Log, MAX_MESSAGE_LEN, Message, Topics};
-use crate::capture::error::{Damage, Place, Stop};
-use crate::capture::input::Input;
+use crate::input::error::{Damage, Place, Stop};
+use crate::input::source::Input;
 
 pub(super) const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
 

@@ -11,7 +11,7 @@
 //! signed in ROS 2. Layout: velodyne_msgs; the ROS 1 serialisation of wiki.ros.org/msg; DDS-XTypes
 //! 1.3, section 7.4.
 
-use crate::capture::input::ByteOrder;
+use crate::input::source::ByteOrder;
 use sweepd_core::wire::data::DATA_PACKET_LEN;
 
 const STAMP_LEN: usize = 8;

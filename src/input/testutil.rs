@@ -2,7 +2,7 @@
 
 use std::io::Cursor;
 
-use super::input::ByteOrder;
+use super::source::ByteOrder;
 use super::{Capture, CaptureReader};
 
 pub(super) const SOURCE: [u8; 4] = [192, 168, 1, 201];

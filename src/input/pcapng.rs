@@ -11,8 +11,8 @@
 
 use super::error::{Damage, Stop};
 use super::frame::{FrameHeader, MAX_RECORD_LEN};
-use super::input::{ByteOrder, Input};
 use super::link::LinkType;
+use super::source::{ByteOrder, Input};
 use sweepd_core::wire::TIMES_NS;
 
 const INTERFACE: u32 = 1;
