@@ -27,10 +27,12 @@ pub(super) struct Check<'a> {
 pub(super) fn check(file: File<'_>, found: FileProblems<'_>) -> Result<Config, Vec<Problem>> {
     let mut check = Check {
         folder: found.folder,
-        problems: found.values,
+        problems: Vec::new(),
     };
     check.http(&file.daemon);
     let sensors = check.sensors(file.sensors);
+    // Problems of one place are shown in this order: a value by itself comes last, but for the path.
+    check.problems.extend(found.values);
     let record = file.record.map(|record| check.record(record));
     check
         .problems
