@@ -43,7 +43,7 @@ fn a_row_is_in_metrics_health_doctor_and_diagnostics() {
     let metrics = daemon.get("/metrics").unwrap().body;
     let port_name = format!("127.0.0.1:{}", port.number());
     for line in [
-        "# HELP sweepd_scratched Scratches of a sensor.\n# TYPE sweepd_scratched counter\n\
+        "# HELP sweepd_scratched Scratches of a sensor\n# TYPE sweepd_scratched counter\n\
          sweepd_scratched_total{sensor=\"roof\"} 271\n",
         &format!("sweepd_scrubbed_total{{port=\"{port_name}\"}} 314\n"),
     ] {
