@@ -44,18 +44,6 @@ const RELOADS_REFUSED: u32 = 5;
 /// This many with a recording.
 const RECORDINGS: u32 = 3;
 
-/// The daemon's reasons to reject a datagram.
-const REJECTED: [&str; 6] = ["length", "marker", "azimuth", "source", "port", "ambiguous"];
-/// Its reasons not to decode a packet.
-const UNDECODED: [&str; 6] = [
-    "malformed",
-    "duplicate",
-    "late",
-    "unconfirmed",
-    "other_product",
-    "not_ready",
-];
-
 /// Compares the daemon's metrics with what they must be.
 struct MetricsCheck<'a> {
     metrics: &'a BTreeMap<String, f64>,
@@ -73,6 +61,21 @@ impl MetricsCheck<'_> {
             None => self
                 .off
                 .push(format!("{metric} is missing, must be {expected}")),
+        }
+    }
+
+    /// Every reason of a counter: those that are expected, and 0 of any other that the daemon has.
+    /// `before` is the metric up to the reason.
+    fn must_be_by_reason(&mut self, before: &str, expected: &BTreeMap<&str, u64>) {
+        let metrics = self.metrics;
+        for (reason, &count) in expected {
+            self.must_be(&format!("{before}{reason}\"}}"), count);
+        }
+        for metric in metrics.keys().filter(|metric| metric.starts_with(before)) {
+            let reason = metric[before.len()..].trim_end_matches("\"}");
+            if !expected.contains_key(reason) {
+                self.must_be(metric, 0);
+            }
         }
     }
 
@@ -213,16 +216,12 @@ impl Soak {
             expected.received + from_other,
         );
         check.must_be(&format!("sweepd_dropped_total{{{port}}}"), 0);
-        for reason in REJECTED {
-            let count = match reason {
-                "port" => from_other,
-                _ => expected.rejected.get(reason).copied().unwrap_or(0),
-            };
-            check.must_be(
-                &format!("sweepd_rejected_total{{{port},reason=\"{reason}\"}}"),
-                count,
-            );
-        }
+        let mut rejected = expected.rejected.clone();
+        rejected.insert("port", from_other);
+        check.must_be_by_reason(
+            &format!("sweepd_rejected_total{{{port},reason=\""),
+            &rejected,
+        );
     }
 
     fn check_sensor(&self, check: &mut MetricsCheck<'_>, index: usize) {
@@ -238,12 +237,10 @@ impl Soak {
         check.must_be(&unshared, unshared_found.min(UNSHARED));
         check.must_be(&positions, expected.positions.saturating_sub(overflows));
         check.must_be(&sensor_metric("sweeps", name), self.known_sweeps(index));
-        for reason in UNDECODED {
-            check.must_be(
-                &format!("sweepd_undecoded_total{{sensor=\"{name}\",reason=\"{reason}\"}}"),
-                expected.undecoded.get(reason).copied().unwrap_or(0),
-            );
-        }
+        check.must_be_by_reason(
+            &format!("sweepd_undecoded_total{{sensor=\"{name}\",reason=\""),
+            &expected.undecoded,
+        );
     }
 
     /// Packets that the daemon must have admitted since it began.
