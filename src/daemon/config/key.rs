@@ -33,6 +33,9 @@ pub struct Key<C: 'static> {
     pub rules: &'static [ReloadRule<C>],
 }
 
+/// A word, and what it sets.
+pub type Word<C> = (&'static str, fn(&mut C));
+
 /// The type of a value, its limits, and where it is set.
 pub enum Form<C: 'static> {
     /// True or false.
@@ -42,7 +45,7 @@ pub enum Form<C: 'static> {
     /// A number, with a fraction or without, and its unit.
     Number(RangeInclusive<f64>, &'static str, fn(&mut C, f64)),
     /// One of several words.
-    Words(&'static [(&'static str, fn(&mut C))]),
+    Words(&'static [Word<C>]),
     /// A text with a meaning.
     Text(fn(&mut C, &str) -> Result<(), Refusal>),
     /// The same, which must be there.
