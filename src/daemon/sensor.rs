@@ -10,7 +10,7 @@ use super::counters::{Gps, SensorCounters, Stage};
 use super::sharing::{ObjectsOutput, Outgoing};
 use crate::sensor_settings::FieldOfView;
 use sweepd_client::host::{monotonic_ns, realtime_ns};
-use sweepd_core::assemble::clock::vouched_utc_ns;
+use sweepd_core::assemble::vouched_utc_ns;
 use sweepd_core::buffers::{Buffers, Memory};
 use sweepd_core::pipeline::{self, Arrival, Counts, Fault, Notice, Options, Pipeline};
 use sweepd_core::segment::ConfigError;

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 pub use error::WriteError;
 pub use mask::{MaskFileError, decode_mask, mask};
 
-use sweepd_core::sensor::read::MAX_FILE_LEN;
+use sweepd_core::sensor::MAX_FILE_LEN;
 use sweepd_core::sensor::{Calibration, CalibrationError};
 
 /// Why a calibration could not be read from a file.

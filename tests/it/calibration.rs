@@ -6,12 +6,12 @@ use std::path::{Path, PathBuf};
 
 use proptest::prelude::*;
 use sweepd::files::{self, CalibrationFileError};
-use sweepd::sensor::calibration::{Intensity, TwoPoint};
+use sweepd::sensor::MAX_FILE_LEN;
 use sweepd::sensor::compare::Quantity;
-use sweepd::sensor::read::MAX_FILE_LEN;
 use sweepd::sensor::{
     Beam, Calibration, CalibrationError, Model, ModelExt, db_xml, ros_yaml, stream,
 };
+use sweepd::sensor::{Intensity, TwoPoint};
 use sweepd::wire::hdl64::{Clock, DUMP_PACKETS, Dump, Gps, Live, Series, Status, emit};
 
 /// The folder of real calibrations, if it is there.

@@ -3,9 +3,9 @@
 
 use crate::common;
 use fearless_simd::dispatch;
-use sweepd::assemble::decode::{Decoder, DualPixels, Pixels};
-use sweepd::assemble::lanes::Records;
-use sweepd::assemble::row_offsets::RowOffsets;
+use sweepd::assemble::Records;
+use sweepd::assemble::RowOffsets;
+use sweepd::assemble::{Decoder, DualPixels, Pixels};
 use sweepd::files;
 use sweepd::sensor::{Calibration, Model, ModelExt};
 use sweepd::sweep::corrected::Corrected;

@@ -7,7 +7,7 @@ use std::sync::LazyLock;
 use sweepd_lab::testkit::stream::next_sweep;
 
 use crate::common::same::same;
-use sweepd::assemble::lanes::levels;
+use sweepd::assemble::levels;
 use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::pipeline::{Config, Options, Pipeline, TimedSegmenter};
 use sweepd::segment::Segmenter;

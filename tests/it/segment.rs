@@ -6,13 +6,13 @@ use std::collections::HashMap;
 use std::f32::consts::TAU;
 
 use proptest::prelude::*;
-use sweepd::assemble::lanes::levels;
+use sweepd::assemble::levels;
 use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::segment::objects::Objects;
-use sweepd::segment::points::placed;
+use sweepd::segment::placed;
 use sweepd::segment::{Config, ConfigError, Joining, Mask, Method, Mount, Segmenter};
 use sweepd::sensor::Beam;
-use sweepd::sensor::calibration::TwoPoint;
+use sweepd::sensor::TwoPoint;
 use sweepd::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, flags, is_return};
 use sweepd::sweep::{Column, Shape, SweepMut, SweepRef};
 use sweepd_lab::cloud::{COLUMNS, CloudProjector, CloudSegmenter, points};

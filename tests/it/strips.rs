@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::common::data_dir_if_any;
 use crate::common::run::Runner;
-use sweepd::assemble::lanes::levels;
+use sweepd::assemble::levels;
 use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::pipeline::Config;
 use sweepd::segment::{self, Mount, Segmenter};

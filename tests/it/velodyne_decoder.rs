@@ -10,9 +10,9 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use sweepd::files;
-use sweepd::sensor::calibration::{Intensity, TwoPoint};
 use sweepd::sensor::compare::{Quantity, differences};
 use sweepd::sensor::{Beam, Calibration, ros_yaml, stream};
+use sweepd::sensor::{Intensity, TwoPoint};
 use sweepd::wire::hdl64::{BEAMS, Series};
 
 /// Real captures, and their models.

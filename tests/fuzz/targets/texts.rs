@@ -5,7 +5,7 @@ use std::path::Path;
 
 use sweepd::daemon::config::{Config, ConfigError, memory};
 use sweepd::segment::MAX_ROWS;
-use sweepd::sensor::read::MAX_FILE_LEN;
+use sweepd::sensor::MAX_FILE_LEN;
 use sweepd::sensor::{Calibration, CalibrationError, Model, db_xml, ros_yaml, stream};
 use sweepd::web_interface::Page;
 use sweepd_lab::cloud::RowTable;

@@ -114,7 +114,7 @@ impl Builder {
         self.lost
     }
 
-    /// See [`HeadTracker::field_of_view_cdeg`].
+    /// See `HeadTracker::field_of_view_cdeg`.
     pub fn field_of_view_cdeg(&self) -> Option<(f64, f64)> {
         self.head.field_of_view_cdeg()
     }

@@ -15,15 +15,23 @@
 
 mod beam_row;
 mod beat;
-pub mod builder;
-pub mod clock;
+pub(crate) mod builder;
+pub(crate) mod clock;
 mod cursor;
-pub mod decode;
-pub mod fov_edge;
-pub mod head_tracker;
-pub mod lanes;
-pub mod matcher;
-pub mod motion;
+pub(crate) mod decode;
+pub(crate) mod fov_edge;
+pub(crate) mod head_tracker;
+pub(crate) mod lanes;
+pub(crate) mod matcher;
+pub(crate) mod motion;
 mod open_sweep;
-pub mod order;
-pub mod row_offsets;
+pub(crate) mod order;
+pub(crate) mod row_offsets;
+
+pub use builder::{Builder, BuilderConfig};
+pub use clock::vouched_utc_ns;
+pub use decode::{Decoder, DualPixels, Pixels};
+pub use lanes::{Records, levels};
+pub use motion::{Sector, TURN};
+pub use order::{PacketGap, PacketOrder, Rejection};
+pub use row_offsets::RowOffsets;

@@ -14,14 +14,14 @@ pub struct Config {
     pub calibration: Option<Calibration>,
     /// Azimuth at which sweeps are cut, radians. Where the field of view is limited and nothing is
     /// sent there in time, they are cut a packet's way ahead of the end of the sector that is
-    /// measured; see [`assemble::fov_edge`](crate::assemble::fov_edge).
+    /// measured; see `assemble::fov_edge`.
     pub cut_azimuth_rad: f64,
     /// Which of two returns is segmented.
     pub return_choice: ReturnChoice,
     /// How sweeps are segmented.
     pub segment: segment::Config,
     /// Times are UTC where the sentence of the GPS receiver is valid, though the sensor does not
-    /// report the pulse as locked; see [`assemble::clock`](crate::assemble::clock).
+    /// report the pulse as locked; see `assemble::clock`.
     pub gps_without_pps: bool,
     /// Position of the sensor in the frame of the robot, metres: x right, y forward, z up; only
     /// passed on.

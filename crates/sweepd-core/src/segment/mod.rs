@@ -13,12 +13,12 @@
 //! label         components, small ones to others, labels and segments table       components, area, labels, extent
 //! ```
 //!
-//! * [`Method::Slope`], the default, is the files at the right: [`ground`] by slope from the
+//! * [`Method::Slope`], the default, is the files at the right: `ground` by slope from the
 //!   sensor's foot up, then runs in rows, and windows over holes and breaks where these begin and
 //!   end. It takes columns in strips of 64, a word of each row, so it can begin while the head still
 //!   turns: [`Segmenter::begin_early`]. `strips` holds its steps together, `order` says which
 //!   column is taken when.
-//! * [`Method::Paper`] is the paper's own, in the folder [`paper`]: all of an image at once, and
+//! * [`Method::Paper`] is the paper's own, in the folder `paper`: all of an image at once, and
 //!   only pixels that touch.
 //!
 //! [`settings`] is the table of numbers that people set. The laboratory's `twin` says the same as the
@@ -30,16 +30,16 @@ mod components;
 mod config;
 mod directions;
 mod extent;
-pub mod ground;
-pub mod joining;
+pub(crate) mod ground;
+pub(crate) mod joining;
 mod labels;
-pub mod mask;
-pub mod mount;
+pub(crate) mod mask;
+pub(crate) mod mount;
 mod near;
 pub mod objects;
 mod order;
-pub mod paper;
-pub mod points;
+pub(crate) mod paper;
+pub(crate) mod points;
 mod ranges;
 mod runs;
 mod seam;
@@ -55,7 +55,10 @@ pub use joining::Joining;
 pub use mask::{Mask, MaskError};
 pub use mount::{HeightEstimator, Mount};
 pub use order::{MAX_ROWS, STRIP as STRIP_COLUMNS};
+pub use paper::PaperSegmenter;
+pub use paper::angles::Angles;
 pub use paper::ground::{PaperGround, Window};
+pub use points::placed;
 pub use settings::{SETTINGS, Setting};
 pub use turnover::turn_over;
 
@@ -63,7 +66,6 @@ use crate::sweep::SweepMut;
 use crate::sweep::layout::flags;
 use fearless_simd::Level;
 use objects::Objects;
-use paper::PaperSegmenter;
 use seam::Seam;
 use strips::Strips;
 

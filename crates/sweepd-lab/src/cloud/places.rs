@@ -309,7 +309,7 @@ fn away_m(polar: Option<Polar>) -> f64 {
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use sweepd_core::assemble::lanes::levels;
+    use sweepd_core::assemble::levels;
 
     /// The column that each point has for itself; positions in columns after the first.
     fn alone(positions: &[f64], columns: usize) -> Vec<Option<usize>> {

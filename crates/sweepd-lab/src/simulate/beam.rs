@@ -14,7 +14,7 @@
 
 use super::shape::{Vec3, rounded};
 use sweepd_core::sensor::Beam;
-use sweepd_core::sensor::calibration::Intensity;
+use sweepd_core::sensor::Intensity;
 
 /// Where the two-point correction ends: from this distance in the packet on, the offset is that of
 /// the far point, metres.
@@ -305,7 +305,7 @@ fn intensity_boost(intensity: &Intensity, units: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::simulate::unit::unit;
-    use sweepd_core::sensor::calibration::TwoPoint;
+    use sweepd_core::sensor::TwoPoint;
 
     const UNIT_M: f64 = 0.002;
 

@@ -11,7 +11,7 @@ use sweepd::cli::output::ForceOptions;
 use sweepd::export::{Existing, WriteError};
 use sweepd::files;
 use sweepd::files::output;
-use sweepd_core::sensor::read::MAX_FILE_LEN;
+use sweepd_core::sensor::MAX_FILE_LEN;
 use sweepd_core::sensor::{Model, ModelExt};
 use sweepd_lab::cloud::{self, Cloud, CloudError, CloudSegmenter, Format, RowTable};
 

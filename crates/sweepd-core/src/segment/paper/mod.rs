@@ -12,8 +12,8 @@
 //! The golden images of the authors' own program hold these steps to what they published. A plane
 //! has a number for each pixel, column after column from the top row down, as those of a sweep do.
 
-pub mod angles;
-pub mod ground;
+pub(super) mod angles;
+pub(super) mod ground;
 mod table;
 
 use fearless_simd::Level;
