@@ -389,7 +389,7 @@ fn a_daemon_that_holds_the_ports_is_asked() {
     let held = UdpSocket::bind((LOCAL, 0)).unwrap();
     let number = held.local_addr().unwrap().port();
     let health = json!({
-        "status": "unwell", "reasons": ["roof: waiting: nothing came yet"],
+        "status": "fault", "reasons": ["roof: waiting: nothing came yet"],
         "ports": [{"port": number, "dropped": 0}], "sensors": [{"name": "roof", "state": "waiting"}],
     });
     let (port, server) = serve(vec![("/health", health)], 1);

@@ -136,7 +136,7 @@ impl View {
             .collect();
         let is_well = faults.is_empty();
         let status = match warnings.is_empty() {
-            _ if !is_well => "unwell",
+            _ if !is_well => "fault",
             false => "warning",
             true => "ok",
         };
@@ -151,6 +151,8 @@ impl View {
             "sensors": sensors,
             "ports": ports,
             "recording": self.recordings.configured,
+            "on_demand_recordings": self.recordings.on_demand,
+            // Its name in version 0.2.
             "asked_recordings": self.recordings.on_demand,
         });
         (is_well, report)

@@ -118,11 +118,18 @@ impl Snapshot {
             let has_failed = u8::from(one.trouble.is_some());
             single(to, "recording_failed", help, Now(has_failed.into()))?;
         }
-        let help = "Recordings under way for sweepd record --from";
-        single(to, "asked_recordings", help, Now(on_demand.len() as f64))?;
-        let help = "Datagrams written for sweepd record --from";
-        single(to, "asked_recorded", help, Total(*on_demand_datagrams))?;
-        single(to, "asked_unrecorded", unwritten, Total(*on_demand_refused))
+        // The second name is that of version 0.2.
+        for name in ["on_demand", "asked"] {
+            let help = "Recordings under way for sweepd record --from";
+            let running = Now(on_demand.len() as f64);
+            single(to, &format!("{name}_recordings"), help, running)?;
+            let help = "Datagrams written for sweepd record --from";
+            let written = Total(*on_demand_datagrams);
+            single(to, &format!("{name}_recorded"), help, written)?;
+            let refused = Total(*on_demand_refused);
+            single(to, &format!("{name}_unrecorded"), unwritten, refused)?;
+        }
+        Ok(())
     }
 
     /// A gauge of the sensors that have it.

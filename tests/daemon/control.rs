@@ -132,7 +132,7 @@ fn sweeps_that_cannot_be_published_are_reported_with_the_reason() {
     let _sending = vlp16(80, (port, port), 100.0);
     until("it streams", || daemon.health().0 == 200);
     daemon.tell("fail");
-    until("it is unwell", || {
+    until("it says a fault", || {
         daemon.health().0 == 503
             && is_a_reason(&daemon, "s80: sweeps are not shared: the memory is full")
     });
@@ -200,7 +200,7 @@ fn health_and_metrics_give_the_state_of_the_sensors() {
     let (status, health) = daemon.health();
     assert_eq!(
         (status, &health["status"], health["pid"].is_u64()),
-        (503, &"unwell".into(), true)
+        (503, &"fault".into(), true)
     );
     assert_eq!(health["sensors"][1]["state"], "waiting");
     let sending = [76, 77].map(|host| {

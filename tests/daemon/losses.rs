@@ -126,7 +126,7 @@ fn a_loss_of_half_and_more_is_a_fault() {
         assert!(told.contains("look at cable and plugs"), "{told}");
     }
     let (status, health) = daemon.health();
-    assert_eq!((status, &health["status"]), (503, &"unwell".into()));
+    assert_eq!((status, &health["status"]), (503, &"fault".into()));
     let percent = |index: usize| {
         health["sensors"][index]["losses"]["percent"]
             .as_f64()

@@ -133,7 +133,7 @@ impl Daemon {
             .spawn()
             .unwrap();
         until("it has begun", || {
-            let asked = self.health().unwrap()["asked_recordings"].take();
+            let asked = self.health().unwrap()["on_demand_recordings"].take();
             let mut asked = asked.as_array().unwrap().iter();
             asked.any(|one| one["path"] == output.to_str().unwrap() && one["sensor"] == sensor)
         });
@@ -464,17 +464,20 @@ fn a_recording_on_demand_holds_what_was_sent_however_it_ends() {
     ] {
         let client = daemon.record("roof", name);
         let path = daemon.folder.join(name);
-        let before = daemon.metric("sweepd_asked_recorded_total").unwrap();
+        let before = daemon.metric("sweepd_on_demand_recorded_total").unwrap();
         let before: usize = before.rsplit_once(' ').unwrap().1.parse().unwrap();
         let sent = daemon.send(98, 2.0);
-        let total = format!("sweepd_asked_recorded_total{{}} {}", before + sent.len());
+        let total = format!(
+            "sweepd_on_demand_recorded_total{{}} {}",
+            before + sent.len()
+        );
         until("all is written", || {
-            daemon.metric("sweepd_asked_recorded_total").as_ref() == Some(&total)
+            daemon.metric("sweepd_on_demand_recorded_total").as_ref() == Some(&total)
         });
         signal(&client, end);
         let (status, report, said) = ended(client);
         until("it has ended", || {
-            daemon.health().unwrap()["asked_recordings"]
+            daemon.health().unwrap()["on_demand_recordings"]
                 .as_array()
                 .unwrap()
                 .is_empty()

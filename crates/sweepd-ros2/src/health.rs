@@ -305,14 +305,14 @@ mod tests {
 
     #[test]
     fn the_daemon_is_asked_and_a_strange_answer_is_named() {
-        let answer = "HTTP/1.0 503 Service Unavailable\r\nContent-Type: application/json\r\n\r\n{\"status\": \"unwell\"}";
+        let answer = "HTTP/1.0 503 Service Unavailable\r\nContent-Type: application/json\r\n\r\n{\"status\": \"fault\"}";
         // The server's thread may get no core within the time for an answer.
         let asked = |answer| {
             let mut tries = (0..20).map(|_| ask(server(answer)));
             let is_answer = |said: &Result<Value, String>| !matches!(said, Err(why) if why.starts_with("no answer"));
             tries.find(is_answer).expect("an answer")
         };
-        assert_eq!(asked(answer), Ok(json!({"status": "unwell"})));
+        assert_eq!(asked(answer), Ok(json!({"status": "fault"})));
         for (answer, part) in [
             ("SSH-2.0", "no web server"),
             ("HTTP/1.0 200 OK\r\n\r\n<html>", "no JSON"),

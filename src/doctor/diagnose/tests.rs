@@ -398,7 +398,7 @@ fn a_port_that_is_taken_is_asked_of_its_daemon() {
         &["says that all is well"],
     );
     seen.daemon = Some(Ok(json!({
-        "status": "unwell", "reasons": ["roof: stalled: no packet for 3 s\u{1b}[2J"],
+        "status": "fault", "reasons": ["roof: stalled: no packet for 3 s\u{1b}[2J"],
         "ports": [{"port": 2368, "dropped": 12}, {"port": 8308}],
         "sensors": [{"name": "roof", "state": "stalled", "model": "VLP-16", "packets": 1000, "lost": 50}],
     })));
