@@ -151,17 +151,8 @@ impl OpenSweep {
             row_offsets,
             head,
         } = context;
-        if self.is_empty() {
-            self.first_ns = firing.time_ns;
-            self.last_ns = firing.time_ns;
-            self.first_progress_cdeg = head.progress_cdeg();
-        }
-        self.blanked |= firing.skips_sector;
-        // A corrected clock or an estimated silence may step back a little; times of columns never
-        // do.
-        self.last_ns = firing.time_ns.max(self.last_ns);
+        self.reach(firing, head.progress_cdeg());
         let time_ns = self.last_ns;
-        self.last_progress_cdeg = head.progress_cdeg();
         let azimuth_rad = radians(firing.azimuth_cdeg);
         let rate = cursor.rate_rad_s;
         if firing.skips_sector && !self.is_empty() {
@@ -201,6 +192,21 @@ impl OpenSweep {
             }
         }
         self.columns += 1;
+    }
+
+    /// The head has come to this firing, and so far.
+    #[inline(always)]
+    fn reach(&mut self, firing: &Firing, progress_cdeg: f64) {
+        if self.is_empty() {
+            self.first_ns = firing.time_ns;
+            self.last_ns = firing.time_ns;
+            self.first_progress_cdeg = progress_cdeg;
+        }
+        self.blanked |= firing.skips_sector;
+        // A corrected clock or an estimated silence may step back a little; times of columns never
+        // do.
+        self.last_ns = firing.time_ns.max(self.last_ns);
+        self.last_progress_cdeg = progress_cdeg;
     }
 
     /// Separates two firings between which a sector was left out, so that shifted beams of one

@@ -564,22 +564,18 @@ impl Shared {
         submessage: Submessage,
         out: &mut Outbox,
     ) {
-        let now = Instant::now();
         match submessage {
             Submessage::Data {
                 writer: wire::PARTICIPANTS_WRITER,
-                disposed: true,
-                ..
-            } => {
-                state.discovery.forget(prefix);
-                state.forget(prefix);
-            }
-            Submessage::Data {
-                writer: wire::PARTICIPANTS_WRITER,
+                disposed,
                 payload,
                 ..
             } => {
-                if let Some(data) = ParticipantData::read(payload, source, &state.addresses) {
+                if disposed {
+                    state.discovery.forget(prefix);
+                    state.forget(prefix);
+                } else if let Some(data) = ParticipantData::read(payload, source, &state.addresses)
+                {
                     self.meet(state, prefix, data, out);
                 }
             }
@@ -614,28 +610,7 @@ impl Shared {
                 first,
                 more,
             } => state.discovery.subscriptions_gap(prefix, first, &more),
-            Submessage::AckNack {
-                reader,
-                writer,
-                missing,
-            } => {
-                let from = Guid::new(prefix, reader);
-                if let Some((_, writer)) = state.writers.get_mut(&writer) {
-                    writer.acknack(from, &missing, now, out);
-                }
-            }
-            Submessage::NackFragment {
-                reader,
-                writer,
-                number,
-                missing,
-            } => {
-                let from = Guid::new(prefix, reader);
-                if let Some((_, writer)) = state.writers.get_mut(&writer) {
-                    writer.nack_fragment(from, number, missing, now, out);
-                }
-            }
-            Submessage::Data { .. } | Submessage::Heartbeat { .. } | Submessage::Gap { .. } => {}
+            acknowledgement => state.acknowledged(prefix, acknowledgement, out),
         }
     }
 
@@ -680,6 +655,35 @@ impl Shared {
 }
 
 impl State {
+    /// Gives a writer what a reader says of its samples; anything else is for nobody here.
+    fn acknowledged(&mut self, prefix: Prefix, submessage: Submessage, out: &mut Outbox) {
+        let now = Instant::now();
+        match submessage {
+            Submessage::AckNack {
+                reader,
+                writer,
+                missing,
+            } => {
+                let from = Guid::new(prefix, reader);
+                if let Some((_, writer)) = self.writers.get_mut(&writer) {
+                    writer.acknack(from, &missing, now, out);
+                }
+            }
+            Submessage::NackFragment {
+                reader,
+                writer,
+                number,
+                missing,
+            } => {
+                let from = Guid::new(prefix, reader);
+                if let Some((_, writer)) = self.writers.get_mut(&writer) {
+                    writer.nack_fragment(from, number, missing, now, out);
+                }
+            }
+            Submessage::Data { .. } | Submessage::Heartbeat { .. } | Submessage::Gap { .. } => {}
+        }
+    }
+
     fn forget(&mut self, prefix: Prefix) {
         for (_, writer) in self.writers.values_mut() {
             writer.remove_readers(|guid| guid.prefix == prefix);
