@@ -26,7 +26,7 @@ pub enum WriteError {
         cause: io::Error,
     },
     /// The name is that of a folder.
-    #[error("{} is a folder; choose another name", path.display())]
+    #[error("cannot write {}: it is a folder; choose another name", path.display())]
     Folder {
         /// The folder.
         path: PathBuf,

@@ -418,7 +418,7 @@ mod tests {
     fn a_folder_in_place_of_a_file_is_one_clear_error() {
         let folder = tempfile::tempdir().unwrap();
         let expected = format!(
-            "{} is a folder; choose another name",
+            "cannot write {}: it is a folder; choose another name",
             folder.path().display()
         );
         for existing in [Existing::Keep, Existing::Replace] {

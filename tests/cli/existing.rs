@@ -30,7 +30,7 @@ fn replaces_only_when_forced(args: &[&str], path: &Path) {
     std::fs::create_dir(path).unwrap();
     let refused = sweepd(&[args, &["--force"]].concat());
     let expected = format!(
-        "error: {} is a folder; choose another name\n",
+        "error: cannot write {}: it is a folder; choose another name\n",
         path.display()
     );
     assert_eq!((refused.code, &refused.stderr[..]), (1, &expected[..]));
