@@ -240,13 +240,6 @@ fn is_stream(path: &Path) -> bool {
     folder.is_some_and(|folder| folder.starts_with("/proc"))
 }
 
-/// `NAME.part` for `NAME`.
-pub fn part_of(path: &Path) -> PathBuf {
-    let mut part = path.as_os_str().to_owned();
-    part.push(".part");
-    part.into()
-}
-
 /// Removes a file, if it is there.
 ///
 /// # Errors

@@ -8,7 +8,6 @@ use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 use super::WriteError;
-use super::output::part_of;
 use crate::text::count_of;
 
 /// What became of a part that a killed recording left.
@@ -83,6 +82,13 @@ impl std::fmt::Display for Recovery {
             }
         }
     }
+}
+
+/// `NAME.part` for `NAME`.
+pub fn part_of(path: &Path) -> PathBuf {
+    let mut part = path.as_os_str().to_owned();
+    part.push(".part");
+    part.into()
 }
 
 /// Makes the part of a file, under the first of its names that is free, and locks it.

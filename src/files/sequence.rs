@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 use serde::{Deserialize, Serialize};
 
 use super::WriteError;
-use super::output::{Existing, NewFile, is_special, part_of};
-use super::parts::{self, Recovery, parts_of, sync_folder_of};
+use super::output::{Existing, NewFile, is_special};
+use super::parts::{self, Recovery, part_of, parts_of, sync_folder_of};
 
 /// Interval between syncs.
 const SYNC_EVERY: Duration = Duration::from_secs(1);

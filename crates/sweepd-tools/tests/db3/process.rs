@@ -93,9 +93,12 @@ fn a_capture_that_is_left_takes_its_program_with_it() {
     assert!(!Path::new(&format!("/proc/{number}")).exists());
 }
 
-/// `sweepd` in a process group of its own, which reads at the pace of the capture: slowly.
+/// `sweepd` in a process group of its own, which reads at the pace of the capture: slowly. A program
+/// that a shell starts in the background ignores interrupts, and so would this one.
 fn replay(path: &Path) -> Child {
-    Command::new(tool("sweepd"))
+    Command::new("env")
+        .arg("--default-signal=INT")
+        .arg(tool("sweepd"))
         .args(["replay", "--speed", "0.001"])
         .arg(path)
         .stdin(Stdio::null())
