@@ -2,8 +2,8 @@
 //! objects.
 //!
 //! ```text
-//! socket | pcap | simulator -> Datagram -> Packet -> Column -> Sweep -> Labels + Segments -> shared memory | files
-//!          input, simulate     wire        assemble  sweep      segment                      publish         export
+//! socket | capture -> Datagram -> Packet -> Column -> Sweep -> Labels + Segments -> shared memory | files
+//!      input                      wire      assemble  sweep      segment             publish         export
 //! ```
 //!
 //! Everything from [`wire::Datagram`] to the segments is pure: bytes and time come in as arguments.

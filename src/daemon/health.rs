@@ -7,8 +7,8 @@ use std::time::Instant;
 
 use serde_json::{Value, json};
 
+use super::counter_table;
 use super::losses::Recent;
-use super::numbers;
 use super::record::RecordingsStatus;
 use super::runtime::{PortStatus, SensorStatus};
 use super::state::{Condition, State};
@@ -189,7 +189,7 @@ fn sensor(sensor: &SensorStatus, is: &Condition) -> Value {
         "sharing_trouble": sensor.sharing.trouble(),
         "renewed_because": sensor.sharing.renewed_because(),
     });
-    numbers::report(numbers::OF_SENSOR, sensor, &mut report);
+    counter_table::report(counter_table::OF_SENSOR, sensor, &mut report);
     report
 }
 
@@ -213,6 +213,6 @@ fn port(port: &PortStatus, hangs: bool) -> Value {
         "buffer_bytes": port.buffer.granted_bytes,
         "buffer_bytes_wanted": port.buffer.wanted_bytes,
     });
-    numbers::report(numbers::OF_PORT, port, &mut report);
+    counter_table::report(counter_table::OF_PORT, port, &mut report);
     report
 }

@@ -11,9 +11,9 @@ use prometheus_client::encoding::{
 use prometheus_client::metrics::MetricType;
 use prometheus_client::registry::{Registry, Unit};
 
+use super::counter_table::{Counter, OF_PORT, OF_SENSOR, Read};
 use super::counters::{Gps, Stage};
 use super::health::View;
-use super::numbers::{Number, OF_PORT, OF_SENSOR, Read};
 use super::record::RecordingsStatus;
 use super::runtime::{PortStatus, SensorStatus};
 use super::state::{Condition, State};
@@ -227,7 +227,7 @@ fn with<'a>(mut labels: Labels<'a>, name: &'static str, value: &'a str) -> Label
 /// The rows of a table, each for all sensors or ports.
 fn numbers<T>(
     to: &mut DescriptorEncoder<'_>,
-    rows: &[Number<T>],
+    rows: &[Counter<T>],
     all: &[T],
     label: fn(&T) -> Labels<'_>,
 ) -> fmt::Result {

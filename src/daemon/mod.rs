@@ -15,6 +15,7 @@
 
 pub mod config;
 pub mod control;
+pub mod counter_table;
 pub mod counters;
 pub mod health;
 pub mod http;
@@ -22,7 +23,6 @@ pub mod losses;
 pub mod metrics;
 pub mod nap;
 pub mod notify;
-pub mod numbers;
 pub mod plan;
 pub mod port;
 pub mod record;

@@ -52,7 +52,7 @@ pub enum WriteError {
         endings: String,
     },
     /// The part of a file was removed or replaced before it could take its name.
-    #[error("{} was removed or replaced while it was written: what was recorded is lost", path.display())]
+    #[error("{} was removed or replaced while it was written: what was written is lost", path.display())]
     Lost {
         /// The part.
         path: PathBuf,

@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 use serde::{Deserialize, Serialize};
 
 use super::WriteError;
-use super::output::{Existing, NewFile, is_special};
-use super::parts::{self, Recovery, part_of, parts_of, sync_folder_of};
+use super::output::{self, Existing, NewFile, is_special};
+use super::parts::{self, Recovery, parts_of, sync_folder_of};
 
 /// Interval between syncs.
 const SYNC_EVERY: Duration = Duration::from_secs(1);
@@ -380,13 +380,14 @@ impl Names {
     /// Opens the next file; in a sequence, the one with the next free number.
     fn open<C: Contents>(&mut self) -> Result<OpenFile<C>, WriteError> {
         if !self.rotation.is_wanted() {
+            output::check(&self.path, self.existing)?;
             return self.begin(&self.path, "-recovered");
         }
         loop {
             let path = numbered(&self.path, self.ending, self.next_number);
             self.next_number += 1;
             // There may be thousands.
-            if path.symlink_metadata().is_ok() && part_of(&path).symlink_metadata().is_err() {
+            if path.symlink_metadata().is_ok() && parts_of(&path).is_empty() {
                 continue;
             }
             // A recovered file of a sequence has its number.

@@ -14,13 +14,13 @@ const DIAGNOSTICS: &str = "rt/diagnostics";
 
 /// The rows, each first in its table.
 pub const OF_SENSOR: Row = Row {
-    file: "src/daemon/numbers.rs",
-    after: "pub const OF_SENSOR: &[Number<SensorStatus>] = &[",
+    file: "src/daemon/counter_table.rs",
+    after: "pub const OF_SENSOR: &[Counter<SensorStatus>] = &[",
     text: "row(\"scratched\", \"Scratches of a sensor\", Total(|of| of.counters.data.get() + 271)),",
 };
 pub const OF_PORT: Row = Row {
-    file: "src/daemon/numbers.rs",
-    after: "pub const OF_PORT: &[Number<PortStatus>] = &[",
+    file: "src/daemon/counter_table.rs",
+    after: "pub const OF_PORT: &[Counter<PortStatus>] = &[",
     text: "row(\"scrubbed\", \"Scrubs of a port\", Total(|of| of.counters.received.get() + 314)),",
 };
 
@@ -66,7 +66,7 @@ fn a_row_is_in_metrics_health_doctor_and_diagnostics() {
     );
 
     let diagnostics = diagnostics(&own, &http);
-    assert!(has(&diagnostics, "scratched", "271"));
+    assert!(has(&diagnostics, "daemon scratched", "271"));
     assert!(has(&diagnostics, &format!("{port_name} scrubbed"), "314"));
 }
 

@@ -98,7 +98,7 @@ impl Diagnostics {
         }
         let said = said.unwrap_or(&Value::Null);
         values.add_said(said, &["state", "gps", "temperature_c", "consumers"]);
-        values.add_numbers("", said);
+        values.add_numbers("daemon ", said);
         Status {
             level,
             name: format!("{DAEMON}: {}", bridge.name),
@@ -154,14 +154,12 @@ impl Values {
         }
     }
 
-    /// Every number that the daemon says of a sensor or of a port, by its name there, unless that
-    /// is shown already.
+    /// Every number that the daemon says of a sensor or of a port, by its name there.
     fn add_numbers(&mut self, before: &str, said: &Value) {
         for (name, value) in said.as_object().into_iter().flatten() {
             let key = format!("{before}{name}");
-            let is_shown = self.0.iter().any(|(shown, _)| *shown == key);
             match value {
-                _ if is_shown || UNTOLD.contains(&&name[..]) => {}
+                _ if UNTOLD.contains(&&name[..]) => {}
                 Value::Number(number) => self.add(key, number),
                 by_reason => self.add_numbers(&format!("{key} "), by_reason),
             }

@@ -121,7 +121,7 @@ impl PortLink {
 #[derive(Debug)]
 pub enum Event {
     /// A client asks for one.
-    Asked {
+    OnDemand {
         /// What it wants.
         request: Request,
         /// Where it learns what came of it.
@@ -269,7 +269,7 @@ impl Recordings {
     /// Takes an event.
     pub fn handle(&mut self, event: Event) {
         match event {
-            Event::Asked { request, client } => self.ask(request, client),
+            Event::OnDemand { request, client } => self.ask(request, client),
             Event::Opened { id, result } => self.opened(id, result),
             Event::Abandoned { id } => self.end(id),
         }

@@ -202,7 +202,7 @@ async fn converse(mut connection: Connection, events: &UnboundedSender<Event>) -
     let answer = match Request::parse(&line) {
         Ok(request) => {
             // Without a receiver the daemon ends, and `answer` fails.
-            let _ = events.send(Event::Asked { request, client });
+            let _ = events.send(Event::OnDemand { request, client });
             tokio::select! {
                 // First: what has begun has to be ended.
                 biased;

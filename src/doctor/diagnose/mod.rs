@@ -13,7 +13,7 @@ use serde_json::Value;
 use super::observe::{Observations, PortResult};
 use super::{Finding, Severity, Topic};
 use crate::beams;
-use crate::daemon::numbers::{Number, OF_PORT, OF_SENSOR};
+use crate::daemon::counter_table::{Counter, OF_PORT, OF_SENSOR};
 
 /// Least percentage of missing packets in a running daemon's last seconds that is reported.
 const LEAST_LOSS_PERCENT: f64 = 0.1;
@@ -101,6 +101,10 @@ fn ports(seen: &Observations, findings: &mut Findings) {
     }
 }
 
+/// Counters that other findings say, or that say nothing of what is wrong.
+const SAID_OF_SENSOR: [&str; 5] = ["packets", "position_packets", "lost", "sweeps", "consumers"];
+const SAID_OF_PORT: [&str; 2] = ["received", "dropped"];
+
 /// Whether a daemon reports that it listens on a port, or does not report its ports.
 fn serves(health: &Value, port: u16) -> bool {
     let Some(ports) = health["ports"].as_array() else {
@@ -142,10 +146,10 @@ fn daemon(health: &Value, findings: &mut Findings) {
         findings.note(Topic::Daemon, sensor_line(sensor), "");
     }
     for sensor in elements(&health["sensors"]) {
-        counts(sensor, OF_SENSOR, &["packets", "lost"], findings);
+        counts(sensor, OF_SENSOR, &SAID_OF_SENSOR, findings);
     }
     for port in elements(&health["ports"]) {
-        counts(port, OF_PORT, &["dropped"], findings);
+        counts(port, OF_PORT, &SAID_OF_PORT, findings);
     }
     if reasons.is_empty() {
         let what = match health["status"].as_str() {
@@ -174,8 +178,8 @@ fn sensor_line(sensor: &Value) -> String {
     line
 }
 
-/// The numbers of a sensor or of a port that no other finding tells, but for those that are 0.
-fn counts<T>(report: &Value, rows: &[Number<T>], told: &[&str], findings: &mut Findings) {
+/// The other counters of a sensor or of a port, but for those that are 0.
+fn counts<T>(report: &Value, rows: &[Counter<T>], told: &[&str], findings: &mut Findings) {
     let mut counts = Vec::new();
     for row in rows.iter().filter(|row| !told.contains(&row.name)) {
         let count = match &report[row.name] {

@@ -1,5 +1,5 @@
-//! The counters of a sensor and of a port: one table, a row each. `/metrics` and `/health` have every
-//! row under its name; from there the doctor and `sweepd-ros2` show those that they do not know.
+//! The counters of a sensor and of a port: one table, a row each. `/metrics`, `/health` and the
+//! doctor have every row under its name; `sweepd-ros2` shows every number of `/health`.
 
 use serde_json::Value;
 
@@ -8,7 +8,7 @@ use super::runtime::{PortStatus, SensorStatus};
 use Read::{Gauge, Total, Totals};
 
 /// A row: something that is counted of a sensor or of a port.
-pub struct Number<T> {
+pub struct Counter<T> {
     /// Its name; in `/metrics`, `sweepd_` stands before it.
     pub name: &'static str,
     /// What it counts.
@@ -17,7 +17,7 @@ pub struct Number<T> {
     pub read: Read<T>,
 }
 
-/// How a number is read; by its kind.
+/// How a counter is read; by its kind.
 pub enum Read<T> {
     /// It only grows.
     Total(fn(&T) -> u64),
@@ -28,7 +28,7 @@ pub enum Read<T> {
 }
 
 /// The counters of a sensor.
-pub const OF_SENSOR: &[Number<SensorStatus>] = &[
+pub const OF_SENSOR: &[Counter<SensorStatus>] = &[
     row(
         "packets",
         "Data packets let in",
@@ -92,7 +92,7 @@ pub const OF_SENSOR: &[Number<SensorStatus>] = &[
 ];
 
 /// The counters of a port.
-pub const OF_PORT: &[Number<PortStatus>] = &[
+pub const OF_PORT: &[Counter<PortStatus>] = &[
     row(
         "received",
         "Datagrams of any kind",
@@ -110,12 +110,12 @@ pub const OF_PORT: &[Number<PortStatus>] = &[
     ),
 ];
 
-const fn row<T>(name: &'static str, help: &'static str, read: Read<T>) -> Number<T> {
-    Number { name, help, read }
+const fn row<T>(name: &'static str, help: &'static str, read: Read<T>) -> Counter<T> {
+    Counter { name, help, read }
 }
 
 /// Adds the rows to what `/health` says of a sensor or of a port.
-pub fn report<T>(rows: &[Number<T>], of: &T, report: &mut Value) {
+pub fn report<T>(rows: &[Counter<T>], of: &T, report: &mut Value) {
     for row in rows {
         report[row.name] = match row.read {
             Total(read) | Gauge(read) => read(of).into(),
