@@ -22,8 +22,10 @@ pub trait Stream {
     fn take(&mut self, packet: Option<&Packet<'_>>, placed: &Placed<'_>);
 
     /// All packets so far are taken, and the time has come to the arrival of a datagram of any
-    /// sensor: a sweep may be closed because this one is silent.
-    fn idle(&mut self, _time: SteadyTime) {}
+    /// sensor: a sweep may be closed because this one is silent. Returns whether there may be a sweep.
+    fn idle(&mut self, _time: SteadyTime) -> bool {
+        false
+    }
 
     /// Nothing more comes.
     fn end(&mut self) {}
@@ -92,12 +94,13 @@ impl<S: Stream> Streams<S> {
         Ok(admitted)
     }
 
-    /// Nothing comes for a while: the streams may work ahead.
+    /// Nothing more is there at the moment: the streams may work ahead, and close what is silent.
     pub fn idle(&mut self) {
         for stream in &mut self.all {
-            stream.idle(self.time);
-            while let Some(sweep) = stream.next_sweep() {
-                self.silent.push_back(sweep);
+            if stream.idle(self.time) {
+                while let Some(sweep) = stream.next_sweep() {
+                    self.silent.push_back(sweep);
+                }
             }
         }
     }
@@ -159,8 +162,9 @@ mod tests {
             };
         }
 
-        fn idle(&mut self, time: SteadyTime) {
+        fn idle(&mut self, time: SteadyTime) -> bool {
             self.times_ns.push(time.now_ns);
+            self.sweeps > 0
         }
 
         fn end(&mut self) {

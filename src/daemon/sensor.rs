@@ -120,7 +120,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         })
     }
 
-    /// Tells its objects there, where somebody listens.
+    /// Sends its objects there, where somebody wants them.
     #[must_use]
     pub fn with_objects(
         mut self,

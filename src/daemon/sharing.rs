@@ -51,7 +51,7 @@ pub struct SharedOutput<B> {
 
 /// Where the objects of a sensor are told.
 pub trait ObjectsOutput: Send {
-    /// Whether somebody listens; known after a second or sooner.
+    /// Whether somebody wants its objects; known after a second or sooner.
     fn has_listeners(&self) -> bool;
 
     /// Sends a message, and wakes those that wait; without shared memory it is lost.

@@ -7,7 +7,6 @@ use super::error::PublishError;
 
 /// Status of publishing, for other threads.
 #[derive(Debug, Default)]
-#[non_exhaustive]
 pub struct PublishStatus {
     consumers: AtomicUsize,
     reserved_bytes: AtomicU64,

@@ -9,7 +9,7 @@ use sweepd_lab::testkit::stream::next_sweep;
 use crate::common::same::same;
 use sweepd::assemble::levels;
 use sweepd::buffers::{HeapBuffers, Memory};
-use sweepd::pipeline::{Config, Options, Pipeline, TimedSegmenter};
+use sweepd::pipeline::{Config, Labels, Options, Pipeline, TimedSegmenter};
 use sweepd::segment::Segmenter;
 use sweepd::sensor::Model::{Hdl32e, Hdl64eS2, Hdl64eS3, Vlp16, Vlp32c, Vls128};
 use sweepd::sweep::layout::flags::HEIGHT_ESTIMATED;
@@ -199,7 +199,7 @@ fn on_every_level_of_instructions() {
 fn labelled_side_by_side() {
     for stream in &*STREAMS {
         let options = Options {
-            labels_elsewhere: true,
+            labels: Labels::Elsewhere,
             ..Options::default()
         };
         let (name, config) = (&stream.name, stream.config.clone());

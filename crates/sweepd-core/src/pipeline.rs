@@ -55,7 +55,7 @@ pub struct Pipeline {
     objects_of: ObjectsOf,
     /// Whether the next poll may segment the open sweep.
     is_idle: bool,
-    labels_elsewhere: bool,
+    labels: Labels,
     /// The clock that times the stages, nanoseconds since any fixed moment.
     clock: fn() -> i64,
     /// Ordinal of the next data packet.
@@ -74,10 +74,23 @@ pub struct Options {
     /// What is known of an HDL-64E from [`Pipeline::known_unit`], so that decoding need not wait for
     /// its calibration and power. For another sensor it has no effect.
     pub unit: Option<Unit>,
-    /// Sweeps get the height of the sensor, but no labels: these are for a [`TimedSegmenter`] with
-    /// [heights in headers](Segmenter::with_heights_in_headers), on any thread, while this one
-    /// decodes the next sweep.
-    pub labels_elsewhere: bool,
+    /// When sweeps get their labels.
+    pub labels: Labels,
+}
+
+/// When sweeps get their labels: these are the same.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Labels {
+    /// As soon as columns are final and the caller [is idle](Pipeline::idle): little is left to do
+    /// when a sweep is complete.
+    #[default]
+    Early,
+    /// When it is complete: that takes less time in all, where no caller is ever idle.
+    Whole,
+    /// Later, by a [`TimedSegmenter`] with [heights in headers](Segmenter::with_heights_in_headers)
+    /// on any thread, while this one decodes the next sweep. The pipeline writes the height of the
+    /// sensor into its header.
+    Elsewhere,
 }
 
 impl Default for Options {
@@ -86,7 +99,7 @@ impl Default for Options {
             level: Level::new(),
             clock: untimed,
             unit: None,
-            labels_elsewhere: false,
+            labels: Labels::default(),
         }
     }
 }
@@ -164,7 +177,7 @@ impl Pipeline {
             dark_beams: DarkBeams::default(),
             objects_of: ObjectsOf::default(),
             is_idle: false,
-            labels_elsewhere: options.labels_elsewhere,
+            labels: options.labels,
             clock: options.clock,
             next_number: 0,
             report: Report::default(),
@@ -214,14 +227,16 @@ impl Pipeline {
 
     /// Nothing more is there at the moment, such as after a batch of packets. With the time by the
     /// clock that stamps packets, nanoseconds since 1970, a sweep that has stalled is closed as it
-    /// is.
-    pub fn idle(&mut self, now_ns: Option<i64>) {
-        self.is_idle = !self.labels_elsewhere;
+    /// is. Returns whether there may be something to poll.
+    pub fn idle(&mut self, now_ns: Option<i64>) -> bool {
+        self.is_idle = self.labels == Labels::Early;
         if let Some(decoding) = self.state.decoding_mut()
             && now_ns.is_some_and(|now_ns| decoding.is_stalled(now_ns))
         {
             decoding.flush();
+            return true;
         }
+        self.is_idle
     }
 
     /// Nothing more will come: the packets held back and the open sweep come out.
@@ -294,10 +309,9 @@ impl Pipeline {
         let Ok(mut sweep) = SweepMut::open(buffer.bytes()) else {
             return;
         };
-        if self.labels_elsewhere {
-            self.segmenter.find_height(&mut sweep);
-        } else {
-            self.segmenter.segment(&mut sweep);
+        match self.labels {
+            Labels::Early | Labels::Whole => self.segmenter.segment(&mut sweep),
+            Labels::Elsewhere => self.segmenter.find_height(&mut sweep),
         }
         sweep.header.position_m = self.setup.config.position_m;
         sweep.header.yaw_rad = self.setup.config.yaw_rad;

@@ -3,7 +3,7 @@
 use crate::beams;
 use crate::text::row;
 use sweepd_core::buffers::{HeapBuffers, Memory};
-use sweepd_core::pipeline::{Config, DarkBeam, Options, Pipeline};
+use sweepd_core::pipeline::{Config, DarkBeam, Labels, Options, Pipeline};
 use sweepd_core::segment::ConfigError;
 use sweepd_core::wire::Packet;
 
@@ -20,7 +20,7 @@ impl Turns {
     /// Never: the configuration is possible.
     pub fn new() -> Result<Self, ConfigError> {
         let options = Options {
-            labels_elsewhere: true,
+            labels: Labels::Elsewhere,
             ..Options::default()
         };
         Ok(Self {

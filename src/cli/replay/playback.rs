@@ -15,7 +15,7 @@ use crate::cli::play::When;
 use crate::cli::send::Sender;
 use crate::input::{Capture, CaptureError, Pacer, Placed, Speed};
 use crate::streams::{SteadyTime, Streams};
-use sweepd_core::pipeline::TimedSegmenter;
+use sweepd_core::pipeline::{Labels, TimedSegmenter};
 use sweepd_core::segment::Segmenter;
 
 /// The way from a capture to whole sweeps; kept from round to round.
@@ -47,15 +47,21 @@ impl Round<'_> {
 impl<'a> Playback<'a> {
     pub(super) fn new(args: &'a Args) -> Result<Self, CliError> {
         // Where there is time, or sweeps are shared, one job does as the daemon does; so it does
-        // where objects are told.
+        // where objects are printed.
         let is_shared = args.publish.is_wanted();
         let is_live = args.play.speed(is_shared) != Speed::Max || is_shared || args.objects;
+        let jobs = if is_live { 1 } else { args.jobs.count() };
         Ok(Self {
             setup: Setup {
                 args,
                 config: args.pipeline_config()?,
                 progress: progress::bar(args),
-                jobs: if is_live { 1 } else { args.jobs.count() },
+                jobs,
+                labels: match jobs {
+                    1 if is_live => Labels::Early,
+                    1 => Labels::Whole,
+                    _ => Labels::Elsewhere,
+                },
                 job: Arc::default(),
             },
             sender: args.play.destination().map(Sender::new),
@@ -95,7 +101,7 @@ impl<'a> Playback<'a> {
     ) -> Result<Round<'c>, CliError> {
         self.others_before = self.streams.sensors.others();
         for track in &mut self.streams.all {
-            track.begin_round(&self.setup.config)?;
+            track.begin_round(&self.setup)?;
         }
         let args = self.setup.args;
         let speed = args.play.speed(args.publish.is_wanted());
@@ -135,6 +141,7 @@ impl<'a> Playback<'a> {
             Err(error) => return self.end(&mut round.read, Err(error)),
         };
         let play = &self.setup.args.play;
+        // A single time behind --end may be corrupt: two in a row end the round.
         let since_ns = round.since_start.pass(placed.since_start_ns);
         if play.when(since_ns) == When::After {
             return self.end(&mut round.read, Ok(()));

@@ -18,7 +18,9 @@ use crate::streams::{SteadyTime, Stream};
 use crate::text::count_of;
 use sweepd_client::host::realtime_ns;
 use sweepd_core::buffers::Memory;
-use sweepd_core::pipeline::{Arrival, Config, Counts, Event, Fault, Notice, Options, Pipeline};
+use sweepd_core::pipeline::{
+    Arrival, Config, Counts, Event, Fault, Labels, Notice, Options, Pipeline,
+};
 use sweepd_core::segment::objects::MAX_WIDTH_RAD;
 use sweepd_core::sensor::compare::Difference;
 use sweepd_core::sensor::detect::Detection;
@@ -32,6 +34,7 @@ pub(super) struct Setup<'a> {
     pub(super) config: Config,
     pub(super) progress: ProgressBar,
     pub(super) jobs: usize,
+    pub(super) labels: Labels,
     /// The job that takes a sweep.
     pub(super) job: Arc<AtomicUsize>,
 }
@@ -44,8 +47,6 @@ pub(super) struct Track<'a> {
     index: usize,
     name: String,
     pipeline: Pipeline,
-    /// Whether another thread labels the sweeps.
-    labels_elsewhere: bool,
     /// Kept from round to round.
     memory: Memory<JobBuffers>,
     /// When this round began.
@@ -75,8 +76,7 @@ impl<'a> Track<'a> {
             buffers.push(args.publish.loans(index, name)?);
         }
         let job = Arc::clone(&setup.job);
-        let labels_elsewhere = setup.jobs > 1;
-        let pipeline = pipeline(args, name, &setup.config, labels_elsewhere)?;
+        let pipeline = pipeline(setup, name)?;
         if let Some(note) = args.publish.note(index, name) {
             setup.progress.suspend(|| complain("note", note));
         }
@@ -86,7 +86,6 @@ impl<'a> Track<'a> {
             index,
             name: name.to_owned(),
             pipeline,
-            labels_elsewhere,
             memory: Memory::new(JobBuffers { buffers, job }),
             run_ns: realtime_ns(),
             detection: None,
@@ -101,9 +100,9 @@ impl<'a> Track<'a> {
     }
 
     /// Begins again with a pipeline that knows nothing.
-    pub(super) fn begin_round(&mut self, config: &Config) -> Result<(), CliError> {
+    pub(super) fn begin_round(&mut self, setup: &Setup<'_>) -> Result<(), CliError> {
         self.past += self.pipeline.status().counts;
-        self.pipeline = pipeline(self.args, &self.name, config, self.labels_elsewhere)?;
+        self.pipeline = pipeline(setup, &self.name)?;
         self.run_ns = realtime_ns();
         Ok(())
     }
@@ -137,7 +136,7 @@ impl<'a> Track<'a> {
             match event {
                 Event::Sweep(buffer) => {
                     self.whole = self.number(buffer);
-                    if self.objects.is_none() {
+                    if self.objects.is_none() && self.whole.is_some() {
                         return Ok(self.whole.take());
                     }
                 }
@@ -179,8 +178,8 @@ impl<'a> Track<'a> {
         })
     }
 
-    /// Shows a fault at once, since a replay may take long; the same one only once, since it may
-    /// come with every packet.
+    /// Shows a fault at once, since a replay may take long; the same one only once, since it may come
+    /// in each round.
     fn show_fault(&mut self, fault: &Fault) {
         let fault = self.args.explain(fault);
         if self.fault.as_ref() != Some(&fault) {
@@ -217,9 +216,9 @@ impl Stream for Track<'_> {
         }
     }
 
-    fn idle(&mut self, time: SteadyTime) {
+    fn idle(&mut self, time: SteadyTime) -> bool {
         self.newest_ns = time.newest_ns;
-        self.pipeline.idle(Some(time.now_ns));
+        self.pipeline.idle(Some(time.now_ns))
     }
 
     fn end(&mut self) {
@@ -232,20 +231,15 @@ impl Stream for Track<'_> {
     }
 }
 
-fn pipeline(
-    args: &Args,
-    name: &str,
-    config: &Config,
-    labels_elsewhere: bool,
-) -> Result<Pipeline, CliError> {
+fn pipeline(setup: &Setup<'_>, name: &str) -> Result<Pipeline, CliError> {
     let options = Options {
-        clock: args.clock(),
-        labels_elsewhere,
+        clock: setup.args.clock(),
+        labels: setup.labels,
         ..Options::default()
     };
-    let mut pipeline = Pipeline::with_options(name, config.clone(), options)
+    let mut pipeline = Pipeline::with_options(name, setup.config.clone(), options)
         .map_err(|error| CliError::Usage(error.to_string()))?;
-    pipeline.find_objects(args.objects.then_some(MAX_WIDTH_RAD));
+    pipeline.find_objects(setup.args.objects.then_some(MAX_WIDTH_RAD));
     Ok(pipeline)
 }
 

@@ -198,12 +198,12 @@ impl Strips {
     pub fn emit(&mut self, sweep: &SweepMut<'_>, config: &Config) {
         if self.ready.is_some() && self.objects.is_some() {
             let sweep = sweep.as_ref();
-            dispatch!(self.level, simd => self.tell_with(simd, &sweep, config));
+            dispatch!(self.level, simd => self.emit_with(simd, &sweep, config));
         }
     }
 
     #[inline(always)]
-    fn tell_with<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config) {
+    fn emit_with<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config) {
         let strip = Strip {
             sweep,
             runs: &self.runs,

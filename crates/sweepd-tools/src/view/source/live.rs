@@ -86,8 +86,7 @@ impl Live {
             }
             self.trouble = self.follow().err().map(|error| error.to_string());
             if self.trouble.is_some() {
-                // It may pass: another daemon, another owner.
-                self.client = None;
+                // It may pass: another daemon, another owner. The client goes on counting.
                 std::thread::sleep(LOOK_EVERY);
             }
             self.tell();

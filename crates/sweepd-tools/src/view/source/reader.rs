@@ -14,7 +14,9 @@ use sweepd::streams::{SteadyTime, Stream, Streams};
 use sweepd_client::host::monotonic_ns;
 use sweepd_core::buffers::HeapBuffer;
 use sweepd_core::buffers::{HeapBuffers, Memory};
-use sweepd_core::pipeline::{Arrival, Config, Event, Fault, Options, Pipeline, TimedSegmenter};
+use sweepd_core::pipeline::{
+    self, Arrival, Config, Event, Fault, Options, Pipeline, TimedSegmenter,
+};
 use sweepd_core::segment::{ConfigError, Segmenter};
 use sweepd_core::sweep::layout::flags;
 use sweepd_core::sweep::{SweepMut, SweepRef};
@@ -151,7 +153,7 @@ impl Track {
     fn new(sensor: usize, name: &str, config: &Config) -> Result<Self, ConfigError> {
         let options = Options {
             clock: monotonic_ns,
-            labels_elsewhere: true,
+            labels: pipeline::Labels::Elsewhere,
             ..Options::default()
         };
         Ok(Self {
@@ -174,8 +176,8 @@ impl Stream for Track {
         }
     }
 
-    fn idle(&mut self, time: SteadyTime) {
-        self.pipeline.idle(Some(time.now_ns));
+    fn idle(&mut self, time: SteadyTime) -> bool {
+        self.pipeline.idle(Some(time.now_ns))
     }
 
     fn end(&mut self) {
