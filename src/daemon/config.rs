@@ -156,12 +156,12 @@ impl Default for SensorConfig {
     }
 }
 
-/// How objects are told while the head turns.
+/// How objects are sent while the head turns.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ObjectsConfig {
-    /// How long what can be told may wait for more, nanoseconds.
+    /// How long an object that is complete may wait for more, nanoseconds.
     pub every_ns: i64,
-    /// Wider objects are told in parts, radians.
+    /// Wider objects come in parts, radians.
     pub max_width_rad: f32,
 }
 

@@ -11,12 +11,9 @@ pub use crate::common::free_port;
 use crate::counting::allocations;
 use sweepd::buffers::HeapBuffer;
 use sweepd::buffers::{Buffers, HeapBuffers};
-use sweepd::daemon::config::{Config, DaemonConfig, ObjectsConfig, PortConfig, SensorConfig};
-use sweepd::daemon::losses::Limits;
+use sweepd::daemon::config::{Config, DaemonConfig, PortConfig, SensorConfig};
 use sweepd::daemon::sharing::{Outgoing, SharedOutput, Sharing, SharingError, SharingStatus};
-use sweepd::pipeline;
 use sweepd::sensor::Model;
-use sweepd::sensor_settings::Settings;
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::gps::{Clock, Reception};
 use sweepd_lab::simulate::{Emitter, EmitterConfig, street};
@@ -167,22 +164,13 @@ pub fn sensor(name: &str, host: u8, (data, position): (u16, u16)) -> SensorConfi
     SensorConfig {
         name: name.to_owned(),
         address: Ipv4Addr::new(127, 0, 0, host).into(),
-        source_port: None,
         port: PortConfig {
             bind: Ipv4Addr::LOCALHOST,
             port: data,
-            multicast: None,
-            interface: None,
-            cpu: None,
-            realtime_priority: None,
+            ..PortConfig::default()
         },
         position_port: position,
-        max_consumers: 4,
-        objects: ObjectsConfig::default(),
-        dual: None,
-        want: Settings::default(),
-        losses: Limits::default(),
-        pipeline: pipeline::Config::default(),
+        ..SensorConfig::default()
     }
 }
 
