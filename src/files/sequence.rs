@@ -387,7 +387,8 @@ impl Names {
             let path = numbered(&self.path, self.ending, self.next_number);
             self.next_number += 1;
             // There may be thousands.
-            if path.symlink_metadata().is_ok() && parts_of(&path).is_empty() {
+            let is_taken = path.symlink_metadata().is_ok() && !is_special(&path);
+            if is_taken && parts_of(&path).is_empty() {
                 continue;
             }
             // A recovered file of a sequence has its number.
