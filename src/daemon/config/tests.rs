@@ -2,6 +2,8 @@ use std::path::Path;
 
 use proptest::prelude::*;
 
+use super::key::Form;
+use super::keys::{DAEMON, SENSOR_TABLES};
 use super::*;
 use sweepd_core::segment::settings::REMOVED;
 use sweepd_core::segment::{Method, SETTINGS};
@@ -953,4 +955,20 @@ proptest! {
         let (key, _) = line.split_once(" = ").unwrap();
         is_answered(&text.replace(line, &format!("{key} = {value}")))?;
     }
+}
+
+/// A key that no reload compares would change without a word.
+#[test]
+fn a_reload_compares_every_key() {
+    let mut without = Vec::new();
+    for key in SENSOR_TABLES.iter().flat_map(|table| table.keys) {
+        if key.rules.is_empty() && !matches!(key.form, Form::Segmenter) {
+            without.push(key.name);
+        }
+    }
+    for key in DAEMON.keys.iter().filter(|key| key.rules.is_empty()) {
+        without.push(key.name);
+    }
+    // The name says which sensors are the same; other keys have a rule together.
+    assert_eq!(without, ["name"]);
 }
