@@ -2,7 +2,8 @@
 
 use crate::environment::Environment;
 use crate::rtps::participant::{Participant, WriterHandle};
-use crate::rtps::writer::{Body, Offer};
+use crate::rtps::sample::Body;
+use crate::rtps::writer::Offer;
 use std::io;
 use std::net::SocketAddrV4;
 use std::sync::atomic::Ordering;

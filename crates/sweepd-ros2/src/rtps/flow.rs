@@ -9,9 +9,9 @@
 //! of the others: deliveries take turns.
 
 use super::discovery::Place;
+use super::sample::Sample;
 use super::sockets::Sockets;
 use super::wire::{ANY_READER, Fragments, Guid, Heartbeat, Message, NumberSet, Route};
-use super::writer::Sample;
 use socket2::{Domain, Protocol, Socket, Type};
 use std::io::{self, IoSlice, Read};
 use std::net::SocketAddrV4;
@@ -514,7 +514,7 @@ pub fn turn(deliveries: &mut Vec<Delivery>, transport: &Transport) -> Vec<(Deliv
 mod tests {
     use super::*;
     use crate::environment::{DiscoveryRange, Environment};
-    use crate::rtps::writer::{Body, Sample};
+    use crate::rtps::sample::{Body, Sample};
     use std::net::{SocketAddr, UdpSocket};
 
     fn socket() -> (UdpSocket, SocketAddrV4) {

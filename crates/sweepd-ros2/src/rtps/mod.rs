@@ -42,6 +42,7 @@ pub mod discovery;
 pub mod flow;
 mod parameters;
 pub mod participant;
+pub mod sample;
 mod sockets;
 mod wire;
 pub mod writer;

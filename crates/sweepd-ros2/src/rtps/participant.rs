@@ -6,9 +6,10 @@
 use super::discovery::{Discovery, News, ParticipantData, Place, ReaderData};
 use super::flow::{self, Delivery, Kind, Link, SocketMemory, Step, Transport, lock};
 use super::parameters::{self, ParameterList};
+use super::sample::Body;
 use super::sockets::{self, Sockets};
 use super::wire::{self, EntityId, Guid, Message, Prefix, Route, Submessage};
-use super::writer::{Body, Counters, Match, Offer, Outbox, ReaderCount, Writer};
+use super::writer::{Counters, Match, Offer, Outbox, ReaderCount, Writer};
 use crate::environment::{DiscoveryRange, Environment};
 use crate::log;
 use std::collections::{BTreeMap, BTreeSet};

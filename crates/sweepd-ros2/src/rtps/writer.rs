@@ -6,7 +6,8 @@
 
 use super::discovery::{Place, ReaderData};
 use super::flow::{Delivery, Kind, Link, Progress, Pulse, Step};
-use super::wire::{self, Guid, Message, NumberSet, Timestamp};
+use super::sample::{Body, Sample};
+use super::wire::{Guid, Message, NumberSet};
 use std::collections::{BTreeMap, VecDeque};
 use std::net::SocketAddrV4;
 use std::sync::atomic::{AtomicU32, AtomicU64, AtomicUsize, Ordering};
@@ -27,58 +28,6 @@ pub const OUTBOX: usize = 1024;
 
 /// Old buffers that are kept for new samples.
 const SPARE_BUFFERS: usize = 2;
-
-/// What a sample is.
-pub enum Body {
-    /// CDR, encapsulation included, a multiple of 4 bytes.
-    Same(Vec<u8>),
-    /// Two forms of it: for readers that name the hash of their type, and for those that do not.
-    ByReader {
-        /// ROS 2 since Iron.
-        since_iron: Vec<u8>,
-        /// ROS 2 before.
-        before_iron: Vec<u8>,
-    },
-    /// The thing of that key is no more; a parameter list that says the same.
-    End(Guid, Vec<u8>),
-}
-
-/// A sample with its number.
-pub struct Sample {
-    /// From 1.
-    pub number: u64,
-    /// When it was written.
-    pub stamp: Timestamp,
-    body: Body,
-}
-
-impl Sample {
-    /// A sample that is written now.
-    pub fn new(number: u64, body: Body) -> Self {
-        Self {
-            number,
-            stamp: wire::now(),
-            body,
-        }
-    }
-
-    /// Its bytes, in the form for such a reader.
-    pub fn payload(&self, names_hash: bool) -> &[u8] {
-        match &self.body {
-            Body::Same(bytes) | Body::End(_, bytes) => bytes,
-            Body::ByReader { since_iron, .. } if names_hash => since_iron,
-            Body::ByReader { before_iron, .. } => before_iron,
-        }
-    }
-
-    /// What has ended, where it says so.
-    pub fn ended(&self) -> Option<Guid> {
-        match self.body {
-            Body::End(key, _) => Some(key),
-            Body::Same(_) | Body::ByReader { .. } => None,
-        }
-    }
-}
 
 /// What a writer offers.
 #[derive(Clone, Debug)]

@@ -1,0 +1,56 @@
+//! A sample that a writer keeps and sends.
+
+use super::wire::{self, Guid, Timestamp};
+
+/// What a sample is.
+pub enum Body {
+    /// CDR, encapsulation included, a multiple of 4 bytes.
+    Same(Vec<u8>),
+    /// Two forms of it: for readers that name the hash of their type, and for those that do not.
+    ByReader {
+        /// ROS 2 since Iron.
+        since_iron: Vec<u8>,
+        /// ROS 2 before.
+        before_iron: Vec<u8>,
+    },
+    /// The thing of that key is no more; a parameter list that says the same.
+    End(Guid, Vec<u8>),
+}
+
+/// A sample with its number.
+pub struct Sample {
+    /// From 1.
+    pub number: u64,
+    /// When it was written.
+    pub stamp: Timestamp,
+    /// What it is.
+    pub body: Body,
+}
+
+impl Sample {
+    /// A sample that is written now.
+    pub fn new(number: u64, body: Body) -> Self {
+        Self {
+            number,
+            stamp: wire::now(),
+            body,
+        }
+    }
+
+    /// Its bytes, in the form for such a reader.
+    pub fn payload(&self, names_hash: bool) -> &[u8] {
+        match &self.body {
+            Body::Same(bytes) | Body::End(_, bytes) => bytes,
+            Body::ByReader { since_iron, .. } if names_hash => since_iron,
+            Body::ByReader { before_iron, .. } => before_iron,
+        }
+    }
+
+    /// What has ended, where it says so.
+    pub fn ended(&self) -> Option<Guid> {
+        match self.body {
+            Body::End(key, _) => Some(key),
+            Body::Same(_) | Body::ByReader { .. } => None,
+        }
+    }
+}
