@@ -197,7 +197,7 @@ impl FieldOfView {
     };
 
     /// What a sensor measures by [`flags`] of a sweep, and by
-    /// [`Pipeline::field_of_view_deg`](sweepd_core::pipeline::Pipeline::field_of_view_deg); `None`
+    /// [`Status::field_of_view_deg`](sweepd_core::pipeline::Status::field_of_view_deg); `None`
     /// if they do not tell.
     pub fn measured(header_flags: u32, limits_deg: Option<(f64, f64)>) -> Option<Self> {
         if header_flags & flags::CIRCULAR != 0 {
