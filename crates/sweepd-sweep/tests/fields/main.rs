@@ -10,7 +10,9 @@ mod source;
 
 use std::collections::BTreeSet;
 use std::fs;
+use std::io::Write;
 use std::path::PathBuf;
+use std::process::{Command, Stdio};
 
 use sweepd_sweep::layout::{HOST_FIELDS, TimeSource};
 use sweepd_sweep::objects::{Object, ObjectsHeader};
@@ -123,6 +125,49 @@ fn the_table_has_the_sizes_of_the_rust_types() {
     let read = table.structs.iter().filter(|of| of.topic != Topic::Sharing);
     let read: Vec<_> = read.map(|of| (&of.name[..], of.bytes)).collect();
     assert_eq!(read, sizes);
+}
+
+/// A C compiler has each field of `examples/sweepd.h` where it is, as large as it is, and of its kind:
+/// what becomes of a half and of minus one tells floats, signed and unsigned numbers.
+#[test]
+fn a_c_compiler_has_every_field_in_its_place() {
+    let mut program = "#include <stddef.h>\n#include \"sweepd.h\"\n".to_owned();
+    for of in &table().structs {
+        let name = format!("sweepd_{}", of.snake_name());
+        for field in &of.fields {
+            let place = field.unique_name();
+            let whole = format!("(({name} *)0)->{place}");
+            let one = match field.kind.count {
+                Some(_) => format!("{whole}[0]"),
+                None => whole.clone(),
+            };
+            let kind = match &field.kind.element[..] {
+                "f32" | "f64" => format!("(__typeof__({one}))0.5 > 0"),
+                "u8" => format!("sizeof {one} == 1"),
+                element if element.starts_with('u') => format!("(__typeof__({one}))-1 > 0"),
+                element if element.starts_with('i') => {
+                    format!("(__typeof__({one}))0.5 == 0 && (__typeof__({one}))-1 < 0")
+                }
+                _ => "1".to_owned(),
+            };
+            program += &format!(
+                "_Static_assert(offsetof({name}, {place}) == {} && sizeof {whole} == {}\n\
+                 && {kind}, \"{name}.{place}\");\n",
+                field.offset, field.bytes
+            );
+        }
+    }
+    assert!(program.matches("_Static_assert").count() > 100);
+    let mut compiler = Command::new("cc")
+        .args(["-std=gnu11", "-fsyntax-only", "-x", "c", "-", "-I"])
+        .arg(root().join("examples"))
+        .stdin(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut input = compiler.stdin.take().unwrap();
+    input.write_all(program.as_bytes()).unwrap();
+    drop(input);
+    assert!(compiler.wait().unwrap().success());
 }
 
 /// What stands behind a module of tests counts.
