@@ -3,7 +3,7 @@
 use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-use super::Holder;
+use crate::holder::Holder;
 
 /// Why a port cannot be listened on.
 #[derive(Debug, thiserror::Error)]

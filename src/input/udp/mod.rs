@@ -11,14 +11,13 @@
 pub mod buffer;
 pub mod error;
 mod filling;
-pub mod holder;
 mod sys;
 
 use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::num::NonZeroU32;
 use std::os::fd::{AsFd, BorrowedFd};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use socket2::{Domain, InterfaceIndexOrAddress, Protocol, Socket, Type};
 
@@ -27,8 +26,6 @@ use self::sys::{BATCH, DatagramBuffer};
 use super::write::Addressed;
 pub use buffer::{ReceiveBuffer, ample_buffer_bytes};
 pub use error::UdpError;
-pub use holder::Holder;
-use sweepd_client::host::realtime_ns;
 use sweepd_core::wire::Datagram;
 
 /// Where to listen.
@@ -189,7 +186,7 @@ impl UdpSource {
         self.received += count as u64;
         self.was_full = count == self.buffers.len();
         let arrived = &self.buffers[..count];
-        let now_ns = realtime_ns();
+        let now_ns = now_ns();
         let local = self.local;
         let mut drops = self.drops;
         for received in arrived {
@@ -352,6 +349,12 @@ fn join(
     socket
         .join_multicast_v4_n(&group, &on)
         .map_err(|source| UdpError::Join { group, source })
+}
+
+/// The time of this host, nanoseconds since 1970; 0 before.
+fn now_ns() -> i64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    since.map_or(0, |since| since.as_nanos() as i64)
 }
 
 /// Unwraps a counter of the kernel that wraps at 2^32 and is read in two ways, one of which may
