@@ -3,7 +3,6 @@
 
 use std::io::Cursor;
 
-use super::mcap::ChunkHeader;
 use crate::input::error::{Damage, Place, Stop};
 use crate::input::source::{Input, SharedInput};
 
@@ -85,25 +84,26 @@ impl Chunks {
         Ok(())
     }
 
-    /// The next bytes are the body of an MCAP chunk, `len` in all. Where the chunk has a check sum,
-    /// no record of it is read before that is right.
-    pub(super) fn enter_mcap(&mut self, len: u64) -> Result<(), Stop> {
-        let header = ChunkHeader::read(&mut self.file, len);
-        let header = header.map_err(|stop| of_file(&self.file, stop))?;
-        if !header.has_check_sum() {
-            return self.enter(&header.compression, header.compressed_len);
-        }
-        let end = self
-            .file
-            .lock()
-            .offset()
-            .saturating_add(header.compressed_len);
-        let records = header
-            .load(&self.file)
-            .map_err(|stop| of_chunk(&self.file, end, stop))?;
+    /// As [`Chunks::enter`], where `load` reads the records from the file: as a whole, before any of
+    /// them is used.
+    pub(super) fn enter_whole(
+        &mut self,
+        len: u64,
+        load: impl FnOnce(&SharedInput) -> Result<Vec<u8>, Stop>,
+    ) -> Result<(), Stop> {
+        let end = self.file.lock().offset().saturating_add(len);
+        let records = load(&self.file).map_err(|stop| of_chunk(&self.file, end, stop))?;
         let records = Input::over(Box::new(Cursor::new(records)), None);
         self.chunk = Some(Chunk { records, end });
         Ok(())
+    }
+
+    /// Reads what stands before the records of a chunk.
+    pub(super) fn read_header<T>(
+        &mut self,
+        read: impl FnOnce(&mut SharedInput) -> Result<T, Stop>,
+    ) -> Result<T, Stop> {
+        read(&mut self.file).map_err(|stop| of_file(&self.file, stop))
     }
 
     /// Reads from the chunk, or from the file outside of one.

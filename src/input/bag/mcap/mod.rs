@@ -80,6 +80,21 @@ impl Mcap {
         Ok(())
     }
 
+    /// The next bytes are the body of a chunk, `len` in all. Where it has a check sum, no record of it
+    /// is read before that is right.
+    fn chunk(&mut self, len: u64) -> Result<(), Stop> {
+        let header = self
+            .records
+            .read_header(|file| ChunkHeader::read(file, len))?;
+        if !header.has_check_sum() {
+            return self
+                .records
+                .enter(&header.compression, header.compressed_len);
+        }
+        self.records
+            .enter_whole(header.compressed_len, |file| header.load(file))
+    }
+
     /// The message, if its channel has scans.
     fn message(&mut self, len: u64) -> Result<Option<Message>, Stop> {
         let mut header = [0; MESSAGE_HEADER_LEN as usize];
@@ -120,7 +135,7 @@ impl Log for Mcap {
                         return Ok(Some(message));
                     }
                 }
-                CHUNK if !self.records.is_in_chunk() => self.records.enter_mcap(len)?,
+                CHUNK if !self.records.is_in_chunk() => self.chunk(len)?,
                 DATA_END | FOOTER => return Ok(None),
                 // No record has this: a file system fills the end of a file with it.
                 0 => return Err(Damage::BagRecord { what: "type" }.into()),
