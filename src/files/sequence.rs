@@ -127,21 +127,21 @@ pub trait Contents: Sized {
     ) -> io::Result<Recovery>;
 }
 
-/// The ending of a name. A pipe or a device needs none, where there is one format only.
+/// Which of the endings a name has. A pipe or a device needs none, where there is one format only.
 ///
 /// # Errors
 /// [`WriteError::Name`].
-pub fn ending_of<C: Contents>(path: &Path) -> Result<&'static str, WriteError> {
+pub fn ending_of(path: &Path, endings: &[&'static str]) -> Result<&'static str, WriteError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    for &ending in C::ENDINGS {
+    for &ending in endings {
         let has_stem = name.len() > ending.len();
-        if name.ends_with(ending) && has_stem || C::ENDINGS.len() == 1 && is_special(path) {
+        if name.ends_with(ending) && has_stem || endings.len() == 1 && is_special(path) {
             return Ok(ending);
         }
     }
     Err(WriteError::Name {
         path: path.to_owned(),
-        endings: C::ENDINGS.join(" or "),
+        endings: endings.join(" or "),
     })
 }
 
@@ -189,7 +189,7 @@ impl<C: Contents> Sequence<C> {
     ) -> Result<Self, WriteError> {
         let mut names = Names {
             path: path.to_owned(),
-            ending: ending_of::<C>(path)?,
+            ending: ending_of(path, C::ENDINGS)?,
             rotation: match existing {
                 Existing::Keep => rotation,
                 Existing::Replace => Rotation::default(),

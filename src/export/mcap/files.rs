@@ -6,13 +6,13 @@ use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
 use super::mend::mend_part;
-use super::{McapWriter, SweepMessages};
+use super::{ENDINGS, McapWriter, SweepMessages};
 use crate::files::parts::Recovery;
 use crate::files::sequence::Contents;
 
 impl Contents for McapWriter<BufWriter<File>> {
     type Record<'a> = SweepMessages;
-    const ENDINGS: &'static [&'static str] = &[".mcap"];
+    const ENDINGS: &'static [&'static str] = ENDINGS;
     /// Only messages are counted.
     const HEADER_LEN: u64 = 0;
     const NEEDS_END: bool = true;

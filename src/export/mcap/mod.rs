@@ -31,6 +31,8 @@ use sweepd_messages::{Cloud, MessageHeader, Stamp, markers, names};
 
 pub use mend::{Mended, mend};
 
+/// How the names of its files end.
+pub(crate) const ENDINGS: &[&str] = &[".mcap"];
 /// The program, as the header of a file names it.
 const LIBRARY: &str = "sweepd";
 /// The frame of the robot, in which a sensor sits.
@@ -297,7 +299,7 @@ impl McapOutput {
     /// # Errors
     /// [`WriteError`]: a name without `.mcap`, a file that exists or cannot be written.
     pub fn create(path: &Path, existing: Existing) -> Result<Self, WriteError> {
-        ending_of::<McapWriter<BufWriter<File>>>(path)?;
+        ending_of(path, ENDINGS)?;
         let (file, new) = NewFile::create(path, existing)?;
         let writer = McapWriter::new(BufWriter::new(file)).map_err(|cause| new.failed(cause))?;
         Ok(Self { writer, new })

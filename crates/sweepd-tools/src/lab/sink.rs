@@ -29,7 +29,7 @@ impl CaptureFile {
                 new: None,
             });
         }
-        let ending = ending_of::<file::CaptureFile>(path)
+        let ending = ending_of(path, file::CaptureFile::ENDINGS)
             .map_err(|error| CliError::Usage(format!("--pcap {error}, or -")))?;
         let (file, new) = NewFile::create(path, existing)?;
         let file = file::CaptureFile::begin(file, ending).map_err(|cause| new.failed(cause))?;
