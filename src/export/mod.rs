@@ -17,7 +17,7 @@ pub mod png;
 pub mod raw;
 pub mod segments;
 #[cfg(test)]
-mod test_scene;
+pub(crate) mod test_scene;
 
 use std::fs;
 use std::io::{self, Write};

@@ -13,8 +13,10 @@
 //! one feed keep their order.
 //!
 //! [`mod@file`] is one capture, [`sequence`](crate::files::sequence) says when another begins.
+//! [`mcap`] is the same for sweeps.
 
 pub mod file;
+pub mod mcap;
 pub(crate) mod ring;
 
 use std::path::{Path, PathBuf};

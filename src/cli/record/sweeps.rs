@@ -11,10 +11,11 @@ use std::time::{Duration, Instant};
 use super::args::Args;
 use super::live::{TICK, announce, live_line, recovery_watch};
 use crate::cli::{CliError, complain};
-use crate::export::mcap::{McapFiles, SweepMessages};
+use crate::export::mcap::SweepMessages;
 use crate::files::WriteError;
 use crate::files::sequence::Written;
 use crate::publish::Domain;
+use crate::recording::mcap::McapFiles;
 use crate::text::{count_of, grouped};
 use sweepd_client::client::{Client, Next};
 

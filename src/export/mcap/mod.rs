@@ -3,13 +3,11 @@
 //!
 //! A sensor has the topics `/sweepd/NAME/points` and `/sweepd/NAME/markers`, and a transform in
 //! `/tf_static`. A file holds whole chunks one after another, written in the order of the file, and
-//! an index at its end. One without its end is still whole up to its last chunk: [`mend`] gives it
-//! an index, and a reader that reads from the beginning does without.
+//! an index at its end. One without its end is still whole up to its last chunk: mended, it has an
+//! index, and a reader that reads from the beginning does without.
 
-mod files;
-mod mend;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -23,18 +21,16 @@ use mcap::{Compression, McapError, WriteOptions};
 use crate::VERSION;
 use crate::files::WriteError;
 use crate::files::output::{Existing, NewFile};
-use crate::files::sequence::{Sequence, ending_of};
+use crate::files::sequence::ending_of;
 use sweepd_core::sweep::SweepRef;
 use sweepd_messages::message_type::{self, MessageType};
 use sweepd_messages::transforms::{self, Transform};
 use sweepd_messages::{Cloud, MessageHeader, Stamp, markers, names};
 
-pub use mend::{Mended, mend};
-
 /// How the names of its files end.
 pub(crate) const ENDINGS: &[&str] = &[".mcap"];
 /// The program, as the header of a file names it.
-const LIBRARY: &str = "sweepd";
+pub(crate) const LIBRARY: &str = "sweepd";
 /// The frame of the robot, in which a sensor sits.
 const ROBOT_FRAME: &str = "base_link";
 
@@ -61,9 +57,9 @@ const OFFERED: &str = offered!("5", "volatile");
 const OFFERED_STATIC: &str = offered!("1", "transient_local");
 
 /// A topic of a sensor.
-struct Topic {
+pub(crate) struct Topic {
     /// Of its channel and its schema, in a file of one sensor.
-    id: u16,
+    pub(crate) id: u16,
     /// Its name; with `{}` for that of the sensor.
     name: &'static str,
     message_type: &'static MessageType,
@@ -76,7 +72,7 @@ const TRANSFORMS: Topic = Topic {
     message_type: &message_type::TF_MESSAGE,
     offered: OFFERED_STATIC,
 };
-const POINTS: Topic = Topic {
+pub(crate) const POINTS: Topic = Topic {
     id: 2,
     name: "/sweepd/{}/points",
     message_type: &message_type::POINT_CLOUD,
@@ -90,11 +86,11 @@ const MARKERS: Topic = Topic {
 };
 
 /// All, in the order in which a file of one sensor gets them.
-const TOPICS: [Topic; 3] = [TRANSFORMS, POINTS, MARKERS];
+pub(crate) const TOPICS: [Topic; 3] = [TRANSFORMS, POINTS, MARKERS];
 
 impl Topic {
     /// Adds its channel, unless there is one; gives the channel's number.
-    fn add<W: Write>(
+    pub(crate) fn add<W: Write>(
         &self,
         writer: &mut mcap::Writer<NoSeek<W>>,
         sensor: &str,
@@ -149,6 +145,11 @@ impl SweepMessages {
             markers: boxes,
             sensor,
         }
+    }
+
+    /// The time of the sweep, nanoseconds since 1970.
+    pub fn time_ns(&self) -> u64 {
+        self.time_ns
     }
 
     /// Their bytes.
@@ -284,9 +285,6 @@ impl Channel {
     }
 }
 
-/// The files of a recording.
-pub type McapFiles = Sequence<McapWriter<BufWriter<File>>>;
-
 /// A file under way that is removed unless it is finished.
 pub struct McapOutput {
     writer: McapWriter<BufWriter<File>>,
@@ -326,7 +324,7 @@ impl McapOutput {
 }
 
 /// How files are written.
-fn options() -> WriteOptions {
+pub(crate) fn options() -> WriteOptions {
     WriteOptions::new()
         .profile("ros2")
         .library(format!("{LIBRARY} {VERSION}"))
@@ -336,7 +334,7 @@ fn options() -> WriteOptions {
 }
 
 /// An error of the writer as one of the system, which is what it is.
-fn io_error(error: McapError) -> io::Error {
+pub(crate) fn io_error(error: McapError) -> io::Error {
     match error {
         McapError::Io(cause) => cause,
         other => io::Error::other(other),

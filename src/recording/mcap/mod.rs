@@ -1,14 +1,23 @@
-//! MCAP as the contents of a sequence of files.
+//! MCAP as the contents of a sequence of files: [`mcap`](crate::export::mcap) writes each, and
+//! [`mend()`] gives one that a killed recording left its end.
+
+mod mend;
+#[cfg(test)]
+mod tests;
 
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-use super::mend::mend_part;
-use super::{ENDINGS, McapWriter, SweepMessages};
+use crate::export::mcap::{ENDINGS, McapWriter, SweepMessages};
 use crate::files::parts::Recovery;
-use crate::files::sequence::Contents;
+use crate::files::sequence::{Contents, Sequence};
+
+pub use mend::{Mended, mend};
+
+/// The files of a recording.
+pub type McapFiles = Sequence<McapWriter<BufWriter<File>>>;
 
 impl Contents for McapWriter<BufWriter<File>> {
     type Record<'a> = SweepMessages;
@@ -25,7 +34,7 @@ impl Contents for McapWriter<BufWriter<File>> {
     }
 
     fn time_ns(messages: &SweepMessages) -> i64 {
-        messages.time_ns as i64
+        messages.time_ns() as i64
     }
 
     fn len(messages: &SweepMessages) -> u64 {
@@ -51,6 +60,6 @@ impl Contents for McapWriter<BufWriter<File>> {
         ending: &str,
         over: &AtomicBool,
     ) -> io::Result<Recovery> {
-        mend_part(file, part, stem, ending, over)
+        mend::mend_part(file, part, stem, ending, over)
     }
 }

@@ -13,7 +13,7 @@ use mcap::McapError;
 use mcap::records::MessageHeader as RecordHeader;
 use mcap::write::NoSeek;
 
-use super::{LIBRARY, POINTS, TOPICS, io_error, options};
+use crate::export::mcap::{LIBRARY, POINTS, TOPICS, io_error, options};
 use crate::files::parts::{self, Recovery};
 use crate::input::bag::mcap::{
     CHANNEL, CHUNK, ChannelRecord, ChunkHeader, DATA_END, HEADER, MAGIC, MAX_LEN, MESSAGE,
