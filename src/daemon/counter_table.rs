@@ -1,5 +1,6 @@
 //! The counters of a sensor and of a port: one table, a row each. `/metrics`, `/health` and the
-//! doctor have every row under its name; `sweepd-ros2` shows every number of `/health`.
+//! doctor have every row under its name; `sweepd-ros2` shows every number of `/health`, and
+//! `sweepd-lab soak` follows every total of `/metrics`.
 
 use serde_json::Value;
 

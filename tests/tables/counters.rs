@@ -3,7 +3,7 @@
 use std::process::Command;
 
 use sweepd_lab::testkit::daemon::run_command;
-use sweepd_lab::testkit::{Daemon, Process, ReservedPort, TempDomain};
+use sweepd_lab::testkit::{Daemon, Process, ReservedPort, TempDomain, tool};
 
 use super::peer::{Peer, RELIABLE};
 use super::scratch::{Row, program};
@@ -23,6 +23,28 @@ pub const OF_PORT: Row = Row {
     after: "pub const OF_PORT: &[Counter<PortStatus>] = &[",
     text: "row(\"scrubbed\", \"Scrubs of a port\", Total(|of| of.counters.received.get() + 314)),",
 };
+
+/// The first of the two sensors of the soak has both rows.
+#[test]
+fn a_row_is_in_the_totals_of_the_soak() {
+    let output = Command::new(tool("sweepd-lab"))
+        .args(["soak", "--hours", "0.001", "--sweepd"])
+        .arg(program("sweepd"))
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{output:?}");
+    let total = |name: &str, of: &str| -> u64 {
+        let start = format!("sweepd_{name}_total{{{of}=\"");
+        let line = said.lines().find(|line| line.starts_with(&start));
+        let (_, value) = line.expect(&start).rsplit_once(' ').unwrap();
+        value.parse().unwrap()
+    };
+    let packets = total("packets", "sensor");
+    assert!(packets > 0 && total("scratched", "sensor") == packets + 271);
+    let received = total("received", "port");
+    assert!(received > 0 && total("scrubbed", "port") == received + 314);
+}
 
 #[test]
 fn a_row_is_in_metrics_health_doctor_and_diagnostics() {

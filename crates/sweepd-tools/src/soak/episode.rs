@@ -92,7 +92,11 @@ impl Soak {
     /// The first thing that was wrong.
     pub fn episode(&mut self) -> Result<(), Failure> {
         self.send(EPISODE)?;
-        self.settle()?;
+        let metrics = self.settle()?;
+        let fallen = self.outcome.totals.take(metrics);
+        if !fallen.is_empty() {
+            return Err(self.off_failure(fallen));
+        }
         self.sample();
         self.outcome.exact += 1;
         Ok(())
@@ -132,25 +136,23 @@ impl Soak {
     }
 
     /// Waits until the daemon has counted what was sent, all of it and no more, and the steady
-    /// consumers know of all sweeps that it published.
+    /// consumers know of all sweeps that it published. Gives its metrics.
     ///
     /// They know by the number of the newest. One that had to find the service again in the last
     /// moments (a consumer that leaves may take a file of it along, which the daemon puts back with
     /// a later sweep) has missed that, and gets the next: in life the sensor goes on, and so it
     /// does here.
-    fn settle(&mut self) -> Result<(), Failure> {
+    fn settle(&mut self) -> Result<BTreeMap<String, f64>, Failure> {
         let begun = Instant::now();
         let mut sent = Instant::now();
         loop {
             let metrics = self.daemon.metrics()?;
-            let mut off = self.off(&metrics);
+            let off = self.off(&metrics);
             if off.is_empty() {
-                return Ok(());
+                return Ok(metrics);
             }
             if begun.elapsed() > COUNTED_WITHIN {
-                off.truncate(SHOWN);
-                let what = format!("counters are off: {}", off.join("; "));
-                return Err(self.daemon.process.failure(what));
+                return Err(self.off_failure(off));
             }
             for consumer in &self.steady {
                 if let Some(wrong) = consumer.received().wrong {
@@ -173,6 +175,13 @@ impl Soak {
             }
             thread::sleep(Duration::from_millis(3));
         }
+    }
+
+    /// Some counters are off, a sentence each.
+    fn off_failure(&mut self, mut off: Vec<String>) -> Failure {
+        off.truncate(SHOWN);
+        let what = format!("counters are off: {}", off.join("; "));
+        self.daemon.process.failure(what)
     }
 
     /// Sensors whose steady consumer knows of fewer sweeps than the daemon has counted.

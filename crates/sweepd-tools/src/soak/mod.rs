@@ -18,7 +18,7 @@
 //! * [`stream`]: a sensor that never ends. [`feed`]: what goes wrong on the way, and what must be
 //!   counted of it.
 //! * [`consumers`]: the programs that read.
-//! * [`figures`]: what must not grow.
+//! * [`figures`]: what must not grow. [`totals`]: what must not fall.
 //! * [`run`] and [`episode`]: a run is a sequence of episodes. After each one the sender waits until
 //!   everything has been fetched; then every counter must be what was injected. Between episodes
 //!   the daemon reads its configuration again, and recordings begin and end. In the middle of the
@@ -34,6 +34,7 @@ mod run;
 mod sensors;
 mod stream;
 mod sys;
+mod totals;
 mod usage;
 
 use std::io::{self, Write};
@@ -150,6 +151,11 @@ fn print(outcome: &Outcome) -> io::Result<()> {
         out,
         "injected = counted, exactly, after each of {} episodes\n",
         outcome.exact
+    )?;
+    writeln!(
+        out,
+        "totals of the last daemon, where not 0\n{}",
+        outcome.totals
     )?;
     write!(out, "{}", outcome.figures.table())
 }

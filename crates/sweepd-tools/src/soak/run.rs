@@ -22,6 +22,7 @@ use super::feed::{ExpectedCounts, Feed, FeedConfig, Injected};
 use super::figures::{Figures, Sample};
 use super::sensors::SENSORS;
 use super::sys::inherit_nothing;
+use super::totals::Totals;
 use super::usage::{DomainUsage, ProcessUsage};
 
 /// An address that is not configured.
@@ -65,6 +66,8 @@ pub struct Outcome {
     pub recordings: u64,
     /// The consumers of the pool.
     pub consumers: ConsumerStats,
+    /// What the daemon that runs has counted.
+    pub totals: Totals,
     /// What must not grow.
     pub figures: Figures,
 }
@@ -318,6 +321,7 @@ impl Soak {
         }
         self.daemon = self.setup.start_daemon(&self.program)?;
         self.recorded_before = 0;
+        self.outcome.totals = Totals::default();
         for (index, feed) in self.feeds.iter_mut().enumerate() {
             feed.expected = ExpectedCounts::default();
             self.published_before[index] = self.steady[index].received().published;
