@@ -29,27 +29,44 @@ pub fn program(name: &str) -> PathBuf {
     BUILT.get_or_init(build).join(name)
 }
 
+/// A file of the copy, after the test that writes it has run there.
+pub fn write_page(test: &[&str], file: &str) -> String {
+    // The copy is made with the programs.
+    program("sweepd");
+    cargo("test", test);
+    fs::read_to_string(folder().join("source").join(file)).unwrap()
+}
+
+/// What is kept from run to run.
+fn folder() -> PathBuf {
+    Path::new(env!("CARGO_TARGET_TMPDIR")).join("tables")
+}
+
 /// The folder of the programs.
 fn build() -> PathBuf {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("tables");
-    let (source, target) = (folder.join("source"), folder.join("target"));
     copy(
         Path::new(env!("CARGO_MANIFEST_DIR")),
         Path::new(""),
-        &source,
+        &folder().join("source"),
     )
     .unwrap();
+    cargo("build", &["-p", "sweepd", "-p", "sweepd-ros2"]);
+    folder().join("target/debug")
+}
+
+/// Runs cargo in the copy.
+fn cargo(command: &str, args: &[&str]) {
     let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let built = Command::new(cargo)
-        .args(["build", "--quiet", "--offline", "--locked"])
-        .args(["-p", "sweepd", "-p", "sweepd-ros2"])
-        .current_dir(source)
-        .env("CARGO_TARGET_DIR", &target)
+    let status = Command::new(cargo)
+        .args([command, "--quiet", "--offline", "--locked"])
+        .args(args)
+        .current_dir(folder().join("source"))
+        .env("CARGO_TARGET_DIR", folder().join("target"))
         .env("CARGO_PROFILE_DEV_DEBUG", "0")
+        .env("SWEEPD_WRITE_PAGES", "1")
         .status()
         .unwrap();
-    assert!(built.success(), "the programs with the rows are not built");
-    target.join("debug")
+    assert!(status.success(), "cargo {command} {args:?}");
 }
 
 /// Copies a folder of the repository, with the rows. A file that is the same already keeps its time,

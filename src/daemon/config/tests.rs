@@ -11,6 +11,13 @@ use sweepd_core::sensor::{Model, ModelExt};
 use sweepd_core::sweep::layout::ReturnChoice;
 
 const EXAMPLE: &str = include_str!("../../../systemd/sweepd.toml");
+/// What stands before the example in its page.
+const PAGE_HEAD: &str = "# Configuration
+
+Every key of the daemon's file: what `sweepd config example` prints, and the packages install as `/etc/sweepd/sweepd.toml`.
+`sweepd config check FILE` checks a file, and prints what it means ([config](usage.md#config)).
+`SWEEPD_WRITE_PAGES=1 cargo test -p sweepd --lib systemd_ships` writes this page.
+";
 /// That of version 0.2.0, with all numbers of the segmenter set.
 const OLD_EXAMPLE: &str = include_str!("sweepd-0.2.0.toml");
 
@@ -865,16 +872,23 @@ fn example_switched_on() -> String {
 }
 
 #[test]
-fn the_example_that_systemd_ships_is_what_the_rows_say() {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/systemd/sweepd.toml");
-    if std::env::var_os("SWEEPD_WRITE_PAGES").is_some() {
-        std::fs::write(path, example()).unwrap();
+fn the_example_that_systemd_ships_and_its_page_are_what_the_rows_say() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let page = format!("{PAGE_HEAD}\n```toml\n{}```\n", example());
+    for (file, text) in [
+        ("systemd/sweepd.toml", example()),
+        ("docs/configuration.md", page),
+    ] {
+        let path = root.join(file);
+        if std::env::var_os("SWEEPD_WRITE_PAGES").is_some() {
+            std::fs::write(&path, &text).unwrap();
+        }
+        assert_eq!(
+            std::fs::read_to_string(path).unwrap_or_default(),
+            text,
+            "{file}: SWEEPD_WRITE_PAGES=1 cargo test -p sweepd --lib systemd_ships writes it"
+        );
     }
-    assert_eq!(
-        std::fs::read_to_string(path).unwrap(),
-        example(),
-        "SWEEPD_WRITE_PAGES=1 cargo test -p sweepd --lib systemd_ships writes it"
-    );
 }
 
 #[test]
