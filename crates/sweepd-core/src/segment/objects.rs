@@ -597,8 +597,8 @@ impl Objects {
 
     /// Emits what was not emitted, by the pixels of the label image.
     fn emit_rest(&mut self, sweep: &SweepRef<'_>, is_emitted: &[bool], labels: &mut Vec<u32>) {
-        // Of each segment its place among these, and the times of its first and last shot, with
-        // the pixels.
+        // One pass over the image, not one for each segment: the first pixel, the first shot and the
+        // last one of each.
         let mut rest = vec![None; is_emitted.len()];
         for (pixel, &label) in sweep.label.iter().enumerate() {
             let index = label.wrapping_sub(LABEL_FIRST_SEGMENT) as usize;

@@ -148,7 +148,8 @@ impl Windows {
 
     /// Goes on to the strip at a position.
     pub fn advance(&mut self, order: Order, position: usize) {
-        // The first column has its window when it comes again.
+        // What lies before the first column comes at the end of the turn, and the first column once
+        // more behind it: then it has its window.
         let is_first = order.circular && position == STRIP;
         let starts = u64::MAX << u32::from(is_first);
         let ends = Order::columns_before(position - MOST_COLUMNS, order.end());
@@ -275,7 +276,8 @@ impl Windows {
         let chords = limits.chords.window(simd, ends.side == Side::Left);
         let window = limits.window(ends.row);
         const { assert!(DENSE.len() == 3 && SPARSE.len() == 2) };
-        // Loops of known lengths: where beams are dense, and where they are sparse.
+        // The number of rows as a constant, so that the loop over them is unrolled: one for dense
+        // beams, one for sparse ones.
         if let Ok(window) = <&[WindowRow; 7]>::try_from(window) {
             self.scan_rows(simd, gap, chords, window, runs, ends)
         } else if let Ok(window) = <&[WindowRow; 5]>::try_from(window) {
