@@ -323,7 +323,9 @@ impl Feed {
         let mut packet = self.stream.next_packet();
         let reason = match fault {
             PacketFault::Stamp => {
-                packet.set_stamp_us((packet.stamp_us() + HOUR_US / 2) % HOUR_US);
+                // The sum may be more than 32 bits hold.
+                let half_hour_off = u64::from(packet.stamp_us()) + u64::from(HOUR_US / 2);
+                packet.set_stamp_us((half_hour_off % u64::from(HOUR_US)) as u32);
                 "unconfirmed"
             }
             _ => {
