@@ -61,6 +61,11 @@ pub const OF_SENSOR: &[Counter<SensorStatus>] = &[
         Total(|of| of.counters.reordered.get()),
     ),
     row(
+        "removed_returns",
+        "Returns taken out by the mask, the range limits or a box",
+        Total(|of| of.counters.removed.get()),
+    ),
+    row(
         "sweeps",
         "Sweeps, partial ones included",
         Total(|of| of.counters.sweeps.get()),

@@ -169,6 +169,8 @@ pub struct SensorCounters {
     pub lost: Counter,
     /// Packets that were put back in order.
     pub reordered: Counter,
+    /// Returns that the configuration removes.
+    pub removed: Counter,
     /// Packets admitted but not decoded, by the reasons of [`SensorCounters::UNDECODED`].
     undecoded: [Counter; 6],
     /// Those of the late ones that showed that the sensor's clock was set back.
@@ -227,6 +229,7 @@ impl SensorCounters {
         self.position.set(counts.position);
         self.lost.set(counts.lost);
         self.reordered.set(counts.reordered);
+        self.removed.set(counts.removed);
         self.set_back.set(counts.set_back);
         let by_reason = [
             counts.malformed,

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use sweepd::assemble::Removal;
 use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::pipeline::{Config, DarkBeam, Pipeline};
 use sweepd::segment::Mask;
@@ -191,12 +192,24 @@ fn by_hand() {
     assert_eq!(rows(&[11], 0.0, 17.0), []);
 }
 
-/// A mask hides pixels from the segmentation; their ranges are still there.
+/// A mask hides pixels from the segmentation, or removes their returns: the beam has returned.
 #[test]
 fn a_masked_row_is_not_dark() {
+    for masked in [false, true] {
+        is_not_dark(Removal {
+            masked,
+            ..Removal::default()
+        });
+    }
+}
+
+fn is_not_dark(removal: Removal) {
     let (width, height) = (1800, 16);
     let hidden: Vec<bool> = (0..width * height).map(|at| at / width == 2).collect();
-    let mut config = Config::default();
+    let mut config = Config {
+        removal,
+        ..Config::default()
+    };
     config.segment.mask = Some(Mask::new(width, height, &hidden).unwrap());
     let mut pipeline = Pipeline::new("test", config).unwrap();
     let mut memory = Memory::<HeapBuffers>::default();

@@ -23,6 +23,7 @@ mod obstacles;
 mod pains;
 mod paper;
 mod promises;
+mod removal;
 mod segment;
 mod share;
 mod simulated_scores;

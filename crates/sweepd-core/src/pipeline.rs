@@ -165,7 +165,7 @@ impl Pipeline {
         config: Config,
         options: Options,
     ) -> Result<Self, ConfigError> {
-        let segmenter = Segmenter::with_level(config.segment.clone(), options.level)?;
+        let segmenter = Segmenter::with_level(config.segmenter(), options.level)?;
         Ok(Self {
             state: State::detecting(config.model, options.unit, Handover::default()),
             setup: Setup {
@@ -315,7 +315,10 @@ impl Pipeline {
         }
         sweep.header.position_m = self.setup.config.position_m;
         sweep.header.yaw_rad = self.setup.config.yaw_rad;
-        self.dark_beams.look(&sweep.as_ref());
+        let remover =
+            (self.state.decoding()).and_then(|decoding| decoding.builder.remover.as_ref());
+        let removed_rows = remover.map_or(0, |remover| remover.rows);
+        self.dark_beams.look(&sweep.as_ref(), removed_rows);
         if self.segmenter.objects().is_some() {
             let method = self.setup.config.segment.method;
             self.objects_of = ObjectsOf::complete(sweep.header, method);

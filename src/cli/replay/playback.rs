@@ -88,7 +88,7 @@ impl<'a> Playback<'a> {
 
     /// Labels what pipelines decoded.
     fn segmenter(&self) -> Result<TimedSegmenter, CliError> {
-        let segmenter = Segmenter::new(self.setup.config.segment.clone())
+        let segmenter = Segmenter::new(self.setup.config.segmenter())
             .map_err(|error| CliError::Usage(error.to_string()))?
             .with_heights_in_headers();
         Ok(TimedSegmenter::new(segmenter, self.setup.args.clock()))

@@ -181,13 +181,21 @@ impl<'t, C: Default> Written<'t, C> {
                 continue;
             }
             let is_required = matches!(key.form, Form::Required(_));
-            let Some(value) = reader.take(key.name) else {
+            let Some(mut value) = reader.take(key.name) else {
                 if is_required {
                     reader.missing(key.name);
                     self.stand_in((table.name, key.name), self.at.clone());
                 }
                 continue;
             };
+            if let Form::Image(_, removes) = key.form
+                && value.get_ref().is_table()
+            {
+                match self.image(value, removes, reader) {
+                    Some(image) => value = image,
+                    None => continue,
+                }
+            }
             let folder = reader.problems().folder;
             let set = key.form.set(&mut self.config, value.get_ref(), folder);
             if is_required && matches!(set, Err(Wrong::Type(_))) {
@@ -195,6 +203,28 @@ impl<'t, C: Default> Written<'t, C> {
             }
             self.take((table.name, key.name), value, set, reader);
         }
+    }
+
+    /// The path in `{ image = PATH, remove = true }`.
+    fn image(
+        &mut self,
+        value: Spanned<DeValue<'t>>,
+        removes: fn(&mut C, bool),
+        reader: &mut TableReader<'_, '_, 't>,
+    ) -> Option<Spanned<DeValue<'t>>> {
+        let mut table = TableReader::new(value, reader.problems())?;
+        if let Some(value) = table.take("remove") {
+            match value.get_ref().as_bool() {
+                Some(flag) => removes(&mut self.config, flag),
+                None => table.problems().wrong_type(&value, "a boolean"),
+            }
+        }
+        let image = table.take("image");
+        if image.is_none() {
+            table.missing("image");
+        }
+        table.finish();
+        image
     }
 
     /// An empty text for a required one that is not there.

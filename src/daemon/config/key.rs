@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use toml::de::DeValue;
 
 use super::error::Problem;
+use sweepd_core::assemble::{BodyBox, BodyBoxError};
 
 /// A table of the file, whose keys set a `C`.
 pub struct Table<C: 'static> {
@@ -54,6 +55,11 @@ pub enum Form<C: 'static> {
     Path(fn(&mut C, PathBuf)),
     /// A file, which is read when all other keys are set.
     File(fn(&mut C, &Path) -> Result<(), String>),
+    /// The same, or a table of it and whether what it shows is removed:
+    /// `{ image = PATH, remove = true }`.
+    Image(fn(&mut C, &Path) -> Result<(), String>, fn(&mut C, bool)),
+    /// Boxes, six numbers each.
+    Boxes(fn(&mut C, Vec<BodyBox>)),
     /// A number of the segmenter: `SETTINGS` has its row.
     Segmenter,
 }
@@ -135,7 +141,8 @@ impl<C> Form<C> {
                 set(to, text).map_err(|refusal| Wrong::Value(format!("{text:?}"), refusal))?;
             }
             Self::Path(set) => set(to, path(value, folder)?),
-            Self::File(_) => drop(path(value, folder)?),
+            Self::File(_) | Self::Image(..) => drop(path(value, folder)?),
+            Self::Boxes(set) => set(to, boxes(value)?),
             Self::Segmenter => {}
         }
         Ok(())
@@ -153,6 +160,23 @@ pub fn path(value: &DeValue<'_>, folder: &Path) -> Result<PathBuf, Wrong> {
         return Err(Wrong::Value(format!("{text:?}"), "expected a path".into()));
     }
     Ok(folder.join(text))
+}
+
+/// The boxes that are written: `[[-0.4, -0.6, 0, 0.4, 0.5, 1.2]]`.
+fn boxes(value: &DeValue<'_>) -> Result<Vec<BodyBox>, Wrong> {
+    let wrong_type = || Wrong::Type("a list of boxes, each a list of six numbers");
+    let mut boxes = Vec::new();
+    for one in value.as_array().ok_or_else(wrong_type)?.iter() {
+        let mut corners = Vec::new();
+        for one in one.get_ref().as_array().ok_or_else(wrong_type)?.iter() {
+            corners.push(number(one.get_ref()).ok_or_else(wrong_type)?);
+        }
+        let shown = format!("{corners:?}");
+        let corners = corners.try_into().map_err(|_| wrong_type())?;
+        let refused = |error: BodyBoxError| Wrong::Value(shown, error.to_string().into());
+        boxes.push(BodyBox::new(corners).map_err(refused)?);
+    }
+    Ok(boxes)
 }
 
 /// The whole number that is written.

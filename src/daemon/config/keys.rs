@@ -20,6 +20,7 @@ use crate::files;
 use crate::publish::{NAME_RULE, is_sensor_name};
 use crate::sensor_settings::{FieldOfView, Host, PhaseLock, Returns, Rpm, Switch};
 use crate::suggest::suggestion;
+use sweepd_core::assemble::BodyBox;
 use sweepd_core::segment::Method;
 use sweepd_core::sensor::{Model, ModelExt};
 use sweepd_core::sweep::layout::ReturnChoice;
@@ -55,6 +56,10 @@ macro_rules! form {
     };
     (Path() [$($place:tt)+]) => { Form::Path(|to, path| to.$($place)+ = Some(path)) };
     (Segmenter() []) => { Form::Segmenter };
+    (Boxes() [$($place:tt)+]) => { Form::Boxes(|to, boxes| to.$($place)+ = boxes) };
+    (Image($set:expr, [$($removes:tt)+]) $place:tt) => {
+        Form::Image($set, |to, removes| to.$($removes)+ = removes)
+    };
     ($form:ident($set:expr) $place:tt) => { Form::$form($set) };
 }
 
@@ -80,7 +85,7 @@ macro_rules! table {
         $table:ident: $config:ty, $table_name:literal $header:literal
         $(
             $(#[doc = $doc:literal])*
-            $name:ident = $example:literal, $form:ident $limits:tt $place:tt
+            $name:ident = $example:tt, $form:ident $limits:tt $place:tt
             $(, $takes:ident $(<$other:literal $other_place:tt>)? $show:ident $($none:literal)?)*;
         )+
     ) => {
@@ -212,8 +217,14 @@ table! {
     /// Returns nearer or further than this keep their range and get label 0; by default there is no upper limit.
     min_range_m = 0, Segmenter() [];
     max_range_m = 100, Segmenter() [];
-    /// The robot's own body: a PNG picture as high as the sensor has rows, black where the robot is.
-    mask = "body.png", File(mask) [pipeline.segment.mask], WithSensor presence "none";
+    /// Whether they are removed instead: no output has a return there.
+    remove_out_of_range = false, Flag() [pipeline.removal.out_of_range], Reload text;
+    /// The robot's own body: a PNG picture as high as the sensor has rows, black where the robot is (`sweepd mask` makes one from a
+    /// capture). Returns there keep their range and get label 0; with { image = "body.png", remove = true } they are removed.
+    mask = "body.png", Image(mask, [pipeline.removal.masked]) [pipeline.segment.mask], WithSensor presence "none", WithSensor<"removal by the mask" [pipeline.removal.masked]> text;
+    /// Boxes in which returns are removed, such as the robot's body, a fork, a trailer: x, y, z of two opposite corners, metres from the
+    /// robot's origin, axes as in [sensor.mount].
+    remove_boxes = [[-0.4, -0.6, 0, 0.4, 0.5, 1.2]], Boxes() [pipeline.removal.boxes], Reload boxes;
 }
 
 table! {
@@ -420,6 +431,13 @@ fn presence<T>(none: &str, value: &Option<T>) -> String {
 
 fn position([x, y, z]: &[f32; 3]) -> String {
     format!("{x}, {y}, {z}")
+}
+
+fn boxes(boxes: &[BodyBox]) -> String {
+    match boxes {
+        [] => "none".to_owned(),
+        boxes => boxes.iter().map(text).collect::<Vec<_>>().join(" and "),
+    }
 }
 
 /// As it was written: the noise of the conversion is far below.

@@ -374,6 +374,42 @@ fn what_cannot_be_meant_is_shown_with_its_line_and_a_cure() {
         ),
         ("segment = { mask = \"\" }", &["expected a path"]),
         (
+            "segment = { mask = { image = \"body.png\", remove = true } }",
+            &["4:30", "cannot read /nowhere/body.png"],
+        ),
+        (
+            "segment = { mask = { remove = true } }",
+            &["4:20", "missing key `image`"],
+        ),
+        (
+            "segment = { mask = { image = \"\", remov = true } }",
+            &["unknown key `remov`", "did you mean `remove`?"],
+        ),
+        (
+            "segment = { mask = { image = \"\", remove = 1 } }",
+            &["wrong type", "expected a boolean"],
+        ),
+        (
+            "segment = { remove_out_of_range = true }",
+            &["removes nothing", "`min_range_m` or `max_range_m`"],
+        ),
+        (
+            "segment = { remove_boxes = [1, 2, 3, 4, 5, 6] }",
+            &["wrong type", "each a list of six numbers"],
+        ),
+        (
+            "segment = { remove_boxes = [[1, 2, 3, 4, 5]] }",
+            &["wrong type", "each a list of six numbers"],
+        ),
+        (
+            "segment = { remove_boxes = [[0, 0, 0, 1, 1, 1], [0, 0, 0, 1, 0, 1]] }",
+            &["cannot be [0.0, 0.0, 0.0, 1.0, 0.0, 1.0]", "opposite one"],
+        ),
+        (
+            "segment = { remove_boxes = [[0, 0, 0, 1, inf, 1]] }",
+            &["within 100 of the origin"],
+        ),
+        (
             "calibration = \"unit.xml\"",
             &["cannot read the calibration /nowhere/unit.xml"],
         ),
@@ -634,6 +670,14 @@ fn files_of_another_model_are_refused() {
             fitting.contains("calibration")
         );
     }
+    let removing = mask.replace("\"32.png\"", "{ image = \"32.png\", remove = true }");
+    let [old, new] = [mask, &removing].map(|text| parse(text).unwrap());
+    let pipeline = &old.reloaded(&new).sensors[0].pipeline;
+    assert!(pipeline.segment.mask.is_some() && pipeline.removal.masked);
+    assert_eq!(
+        old.changes(&new)[0].to_string(),
+        "sensor roof: removal by the mask false -> true"
+    );
     let message = parse(&format!("model = \"vlp16\"\n{mask}")).unwrap_err();
     assert!(
         message.contains("32.png has 32 rows, not the VLP-16")
@@ -677,6 +721,18 @@ fn a_reload_says_what_it_takes_over_and_what_waits() {
             "sensor roof: theta_deg 10 -> 12.5",
             "sensor roof: min_points 10 -> 5",
             "sensor left: want none -> rpm 600"
+        ]
+    );
+    assert_eq!(
+        said(&three(
+            "segment = { remove_boxes = [[1, 0.5, -2, 0, 0, 0]], remove_out_of_range = true, max_range_m = 9 }",
+            "",
+            ""
+        )),
+        [
+            "sensor roof: remove_out_of_range false -> true",
+            "sensor roof: remove_boxes none -> 0,0,-2,1,0.5,0",
+            "sensor roof: max_range_m no limit -> 9"
         ]
     );
     assert_eq!(
@@ -743,6 +799,7 @@ fn no_setting_changes_without_a_word() {
         "segment = { min_points = 11 }",
         "segment = { min_range_m = 1 }",
         "segment = { max_range_m = 1 }",
+        "segment = { remove_boxes = [[0, 0, 0, 1, 1, 1]] }",
     ];
     let parse = |more: &str| {
         let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/calib/robot.toml"));
@@ -804,6 +861,7 @@ fn no_setting_changes_without_a_word() {
         cut_azimuth_rad: _,
         return_choice: _,
         segment: _,
+        removal: _,
         gps_without_pps: _,
         position_m: _,
         yaw_rad: _,

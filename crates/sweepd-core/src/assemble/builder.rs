@@ -10,6 +10,7 @@ use super::head_tracker::{HeadEvent, HeadTracker};
 use super::motion::{FiringTiming, TURN};
 use super::open_sweep::{ColumnTarget, FiringContext, OpenSweep, decode, radians, rate_rad_s};
 use super::order::{OrderedPacket, PacketGap};
+use super::removal::Remover;
 use super::row_offsets::RowOffsets;
 use crate::buffers::OpenBuffer;
 use crate::sweep::image::SweepMut;
@@ -43,6 +44,8 @@ pub struct Builder {
     head: HeadTracker,
     /// Converts sensor time to time since 1970.
     pub clocks: Clocks,
+    /// Takes out what no sweep is to have, if there is anything.
+    pub remover: Option<Box<Remover>>,
     open: Option<OpenSweep>,
     /// How the rows of the open sweep are turned.
     row_offsets: RowOffsets,
@@ -81,6 +84,7 @@ impl Builder {
             decoder,
             config,
             clocks: Clocks::default(),
+            remover: None,
             open: None,
             row_offsets: RowOffsets::default(),
             cursor: None,
@@ -323,7 +327,12 @@ impl Builder {
         let Ok(mut sweep) = SweepMut::open(buffer.bytes()) else {
             return FillEnd::PacketDone;
         };
-        dispatch!(self.decoder.level(), simd => self.fill_with(simd, cursor, packet, &mut sweep))
+        let placed = self.open.as_ref().map_or(0, |open| open.columns);
+        let end = dispatch!(self.decoder.level(), simd => self.fill_with(simd, cursor, packet, &mut sweep));
+        if let (Some(remover), Some(open)) = (&mut self.remover, &mut self.open) {
+            open.returns -= remover.remove(&mut sweep, placed..open.columns);
+        }
+        end
     }
 
     #[inline(always)]
@@ -443,6 +452,9 @@ impl Builder {
                 decoder,
             );
         }
+        if let Some(remover) = &mut self.remover {
+            open.returns -= remover.remove(sweep, first..first + timing.firings);
+        }
         open.lost = open.lost.saturating_sub(1);
         self.lost = self.lost.saturating_sub(1);
         open.missing -= timing.firings as u32;
@@ -484,6 +496,9 @@ impl Builder {
         header.return_choice = self.config.return_choice as u32;
         header.cut_azimuth_rad = (self.head.cut_cdeg() / 100.0).to_radians() as f32;
         header.set_sensor(&self.config.sensor);
+        if let Some(remover) = &mut self.remover {
+            remover.begin();
+        }
         self.sequence += 1;
         self.open = Some(OpenSweep::new(mode, from_cut, &self.row_offsets));
     }

@@ -26,6 +26,7 @@ pub(crate) mod matcher;
 pub(crate) mod motion;
 mod open_sweep;
 pub(crate) mod order;
+pub(crate) mod removal;
 pub(crate) mod row_offsets;
 
 pub use builder::{Builder, BuilderConfig};
@@ -34,4 +35,5 @@ pub use decode::{Decoder, DualPixels, Pixels};
 pub use lanes::{Records, levels};
 pub use motion::{Sector, TURN};
 pub use order::{PacketGap, PacketOrder, Rejection};
+pub use removal::{BodyBox, BodyBoxError, Removal, Remover};
 pub use row_offsets::RowOffsets;

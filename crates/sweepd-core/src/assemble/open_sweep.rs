@@ -321,7 +321,7 @@ impl OpenSweep {
 }
 
 /// The column of the image that holds a row's pixel of a firing, where the row is shifted.
-fn unshifted(firing: usize, shift: i32) -> usize {
+pub fn unshifted(firing: usize, shift: i32) -> usize {
     (firing as i64 - i64::from(shift)) as usize
 }
 

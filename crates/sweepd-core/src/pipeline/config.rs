@@ -1,5 +1,6 @@
 //! The configuration of a pipeline.
 
+use crate::assemble::Removal;
 use crate::segment;
 use crate::sensor::{Calibration, Model};
 use crate::sweep::layout::ReturnChoice;
@@ -20,14 +21,16 @@ pub struct Config {
     pub return_choice: ReturnChoice,
     /// How sweeps are segmented.
     pub segment: segment::Config,
+    /// Which returns no sweep has.
+    pub removal: Removal,
     /// Times are UTC where the sentence of the GPS receiver is valid, though the sensor does not
     /// report the pulse as locked; see `assemble::clock`.
     pub gps_without_pps: bool,
-    /// Position of the sensor in the frame of the robot, metres: x right, y forward, z up; only
-    /// passed on.
+    /// Position of the sensor in the frame of the robot, metres: x right, y forward, z up; for
+    /// [`Config::removal`], and passed on.
     pub position_m: [f32; 3],
     /// Rotation about the vertical in the frame of the robot, counter-clockwise from above,
-    /// radians; only passed on.
+    /// radians; for [`Config::removal`], and passed on.
     pub yaw_rad: f32,
 }
 
@@ -39,9 +42,19 @@ impl Default for Config {
             cut_azimuth_rad: 0.0,
             return_choice: ReturnChoice::Nearest,
             segment: segment::Config::default(),
+            removal: Removal::default(),
             gps_without_pps: false,
             position_m: [0.0; 3],
             yaw_rad: 0.0,
         }
+    }
+}
+
+impl Config {
+    /// The configuration of the segmenter of its sweeps: what is removed need not be masked.
+    pub fn segmenter(&self) -> segment::Config {
+        let mut config = self.segment.clone();
+        config.mask = config.mask.filter(|_| !self.removal.masked);
+        config
     }
 }

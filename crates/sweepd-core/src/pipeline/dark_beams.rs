@@ -57,13 +57,14 @@ impl Default for DarkBeams {
 }
 
 impl DarkBeams {
-    /// Looks at a sweep; one that is no whole turn tells nothing.
-    pub(super) fn look(&mut self, sweep: &SweepRef<'_>) {
+    /// Looks at a sweep; one that is no whole turn tells nothing. Beams of `removed_rows`, a bit
+    /// each, had returns that were removed.
+    pub(super) fn look(&mut self, sweep: &SweepRef<'_>, removed_rows: u128) {
         let rows = sweep.rows();
         if sweep.header.has(flags::PARTIAL | flags::STOPPED) || !(1..=MAX_ROWS).contains(&rows) {
             return;
         }
-        let returned = rows_with_returns(sweep);
+        let returned = rows_with_returns(sweep) | removed_rows;
         self.returned |= returned;
         let [above, below] = [returned << 1, returned >> 1];
         let witnessed = above & below | above & (below >> 1) | (above << 1) & below;

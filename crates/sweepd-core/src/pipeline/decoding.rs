@@ -6,6 +6,7 @@ use crate::assemble::builder::{Builder, BuilderConfig};
 use crate::assemble::decode::Decoder;
 use crate::assemble::motion::TURN;
 use crate::assemble::order::{OrderCounts, OrderedPacket, PacketOrder, Rejection};
+use crate::assemble::removal::Remover;
 use crate::buffers::OpenBuffer;
 use crate::sensor::compare::Difference;
 use crate::sensor::detect::{self, Detection};
@@ -92,6 +93,13 @@ impl Decoding {
         };
         let mut builder = Builder::new(decoder, builder_config);
         builder.clocks = handover.clocks;
+        builder.remover = Remover::new(
+            &config.removal,
+            &config.segment,
+            config.position_m,
+            config.yaw_rad,
+        )
+        .map(Box::new);
         builder.sequence = handover.sweeps;
         builder.expect_rate(rate_cdeg_ns);
         Ok(Self {
@@ -296,5 +304,6 @@ impl Decoding {
         counts.set_back += set_back;
         counts.unconfirmed += unconfirmed;
         counts.lost += self.builder.lost();
+        counts.removed += (self.builder.remover.as_ref()).map_or(0, |remover| remover.removed);
     }
 }

@@ -33,6 +33,8 @@ pub struct Counts {
     /// Packets that came before the model was known and after it proved to be unsupported, and
     /// those of an HDL-64E before its calibration was.
     pub undecoded: u64,
+    /// Returns that the configuration removes from sweeps; see [`Removal`](crate::assemble::Removal).
+    pub removed: u64,
 }
 
 impl std::ops::AddAssign for Counts {
@@ -48,6 +50,7 @@ impl std::ops::AddAssign for Counts {
         self.unconfirmed += other.unconfirmed;
         self.foreign += other.foreign;
         self.undecoded += other.undecoded;
+        self.removed += other.removed;
     }
 }
 

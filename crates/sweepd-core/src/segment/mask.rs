@@ -81,8 +81,14 @@ impl Mask {
     /// Whether the robot itself hides a beam at an azimuth in radians.
     #[inline]
     pub fn hides(&self, row: usize, azimuth_rad: f64) -> bool {
-        let bin = (azimuth_rad / TAU).rem_euclid(1.0) * self.bins.len() as f64;
-        self.bins[(bin as usize).min(self.bins.len() - 1)] >> row & 1 == 1
+        self.bins[Self::column(self.bins.len(), azimuth_rad)] >> row & 1 == 1
+    }
+
+    /// The column of an azimuth in radians, in an image of this width.
+    #[inline]
+    pub fn column(width: usize, azimuth_rad: f64) -> usize {
+        let column = (azimuth_rad / TAU).rem_euclid(1.0) * width as f64;
+        (column as usize).min(width - 1)
     }
 }
 

@@ -97,7 +97,7 @@ impl Check<'_> {
     fn files(&mut self, sensor: &mut Sensor<'_>) {
         for table in SENSOR_TABLES {
             for key in table.keys {
-                if let Form::File(read) = key.form
+                if let Form::File(read) | Form::Image(read, _) = key.form
                     && let Some(given) = sensor.given(table.name, key.name)
                     && let Ok(path) = path(given.get_ref(), self.folder)
                 {
@@ -112,6 +112,18 @@ impl Check<'_> {
 
     fn segment(&mut self, sensor: &Sensor<'_>) {
         let config = &sensor.config.pipeline.segment;
+        let limits = [config.min_range_m, config.max_range_m];
+        if sensor.config.pipeline.removal.out_of_range
+            && let Some(given) = sensor.given("segment", "remove_out_of_range")
+            && limits == [0.0, f32::INFINITY]
+        {
+            let title = "`remove_out_of_range` removes nothing";
+            self.problem(
+                given.span(),
+                title,
+                "expected `min_range_m` or `max_range_m` beside it",
+            );
+        }
         let Err(error) = config.check() else {
             return;
         };
