@@ -213,8 +213,19 @@ fn segments(sensor: &SensorConfig) -> String {
     } else if min_m > 0.0 {
         text += &format!(", from {min_m} m on");
     }
+    let removal = &sensor.pipeline.removal;
+    if removal.out_of_range {
+        text += ", the others removed";
+    }
     if config.mask.is_some() {
-        text += ", masked";
+        text += if removal.masked {
+            ", removed by a mask"
+        } else {
+            ", masked"
+        };
+    }
+    for one in &removal.boxes {
+        text += &format!(", removed in the box {one}");
     }
     text
 }

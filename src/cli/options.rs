@@ -10,8 +10,9 @@ use crate::admission::SensorFilter;
 use crate::cli::{CliError, complain};
 use crate::files;
 use crate::suggest::nearest;
+use sweepd_core::assemble::{BodyBox, Removal};
 use sweepd_core::pipeline;
-use sweepd_core::segment::settings::{REMOVED, Removed, Unit};
+use sweepd_core::segment::settings::{REMOVED, Removed, Table, Unit};
 use sweepd_core::segment::{self, SETTINGS, Setting};
 use sweepd_core::sensor::model::UnknownModel;
 use sweepd_core::sensor::{Calibration, Model};
@@ -131,6 +132,28 @@ pub struct SegmentOptions {
     /// to right, whose black pixels keep their range and get label 0
     #[arg(long, value_name = "FILE.png")]
     pub mask: Option<PathBuf>,
+    /// What has no return at all, in no output: what --mask hides, what --min-range and --max-range
+    /// leave out, or both
+    #[arg(long, value_name = "WHAT", value_enum, value_delimiter = ',')]
+    remove: Vec<Removable>,
+    /// A box in which no return is left, such as the robot's own body: x right, y forward and z up of
+    /// two opposite corners, metres, in the frame of the robot (where no position of the sensor is
+    /// configured, from the sensor, level); may be given several times
+    #[arg(
+        long = "remove-box",
+        value_name = "X,Y,Z,X,Y,Z",
+        allow_hyphen_values = true
+    )]
+    boxes: Vec<BodyBox>,
+}
+
+/// Values of `--remove`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Removable {
+    /// What the mask hides
+    Mask,
+    /// What is nearer or further than the range limits
+    Range,
 }
 
 /// The values of [`SETTINGS`] that were given as options, and what was of [`REMOVED`].
@@ -236,12 +259,38 @@ pub fn pipeline_config(
         cut_azimuth_rad: sensor.cut_azimuth.to_radians(),
         return_choice: sensor.return_choice(),
         segment: segment.config()?,
+        removal: segment.removal()?,
         gps_without_pps: sensor.gps_without_pps,
         ..pipeline::Config::default()
     })
 }
 
 impl SegmentOptions {
+    /// Which returns are removed.
+    ///
+    /// # Errors
+    /// [`CliError::Usage`]: nothing says what is to be removed.
+    pub fn removal(&self) -> Result<Removal, CliError> {
+        let removal = Removal {
+            masked: self.remove.contains(&Removable::Mask),
+            out_of_range: self.remove.contains(&Removable::Range),
+            boxes: self.boxes.clone(),
+        };
+        let has_limit = (self.numbers.given.iter())
+            .any(|(setting, _)| setting.table == Table::Segment && setting.unit == Unit::Metres);
+        if removal.masked && self.mask.is_none() {
+            return Err(CliError::Usage(
+                "--remove mask needs --mask FILE.png".to_owned(),
+            ));
+        }
+        if removal.out_of_range && !has_limit {
+            return Err(CliError::Usage(
+                "--remove range needs --min-range or --max-range".to_owned(),
+            ));
+        }
+        Ok(removal)
+    }
+
     /// The segmenter's configuration.
     ///
     /// # Errors

@@ -20,6 +20,7 @@ use zerocopy::FromBytes;
 pub use self::project::CloudProjector;
 pub use self::read::{FilePosition, Format, ReadError};
 pub use self::rows::{RowBeam, RowTable, RowTableError};
+use sweepd_core::assemble::{Removal, Remover};
 use sweepd_core::segment::{Config, ConfigError, MAX_ROWS, Segmenter};
 use sweepd_core::sweep::layout::{COLUMNS_CAPACITY, LayoutError};
 
@@ -115,6 +116,7 @@ pub enum CloudError {
 pub struct CloudSegmenter {
     projector: CloudProjector,
     segmenter: Segmenter,
+    remover: Option<Remover>,
     table: Option<RowTable>,
 }
 
@@ -127,8 +129,16 @@ impl CloudSegmenter {
         Ok(Self {
             projector: CloudProjector::new(columns)?,
             segmenter: Segmenter::new(config)?,
+            remover: None,
             table: None,
         })
+    }
+
+    /// Takes returns out of the images: their points get no label.
+    #[must_use]
+    pub fn with_removal(self, removal: &Removal) -> Self {
+        let remover = Remover::new(removal, self.segmenter.config(), [0.0; 3], 0.0);
+        Self { remover, ..self }
     }
 
     /// For clouds in any order: the elevation of a point determines its beam.
@@ -170,6 +180,10 @@ impl CloudSegmenter {
                 found: mask.rows(),
                 rings,
             });
+        }
+        if let Some(remover) = &mut self.remover {
+            let firings = sweep.image_columns();
+            sweep.header.returns -= remover.remove(&mut sweep, firings);
         }
         // Each cloud by itself: the one before may be of another sensor.
         self.segmenter.forget_height();

@@ -174,6 +174,7 @@ struct SensorSummary<'a> {
     sweeps: u64,
     partial_sweeps: u64,
     returns: u64,
+    removed_returns: u64,
     missing_columns: u64,
     ground_share: f64,
     segments_per_sweep: f64,
@@ -236,6 +237,7 @@ impl<'a> SensorReport<'a> {
             sweeps: sums.whole,
             partial_sweeps: sums.partial,
             returns: sums.returns,
+            removed_returns: counts.removed,
             missing_columns: sums.missing_columns,
             ground_share: rounded(means.ground_share(), 1e4),
             segments_per_sweep: rounded(means.segments(), 10.0),
@@ -313,7 +315,11 @@ impl<'a> SensorReport<'a> {
         let columns = means.mean(means.columns as f64);
         let sweeps = format_args!("{whole} whole{partial}; {rows} rows x {columns:.0} columns");
         row(table, "sweeps", sweeps);
-        row(table, "returns", grouped(sums.returns));
+        let removed = match self.counts.removed {
+            0 => String::new(),
+            count => format!(", {} removed", grouped(count)),
+        };
+        row(table, "returns", grouped(sums.returns) + &removed);
         let percent = 100.0 * means.ground_share();
         let height = self.height();
         let ground = format_args!("{percent:.1} % of the returns{height}");

@@ -95,11 +95,13 @@ pub fn run(args: &Args) -> Result<(), CliError> {
 /// A segmenter for each job.
 fn segmenters(args: &Args, count: usize) -> Result<Vec<CloudSegmenter>, CliError> {
     let config = args.segment.config()?;
+    let removal = args.segment.removal()?;
     let table = table(args)?;
     let mut segmenters = Vec::new();
     for _ in 0..count {
         let segmenter = CloudSegmenter::new(config.clone(), args.columns)
-            .map_err(|error| CliError::Usage(error.to_string()))?;
+            .map_err(|error| CliError::Usage(error.to_string()))?
+            .with_removal(&removal);
         segmenters.push(match &table {
             Some(table) => segmenter.with_rows(table.clone()),
             None => segmenter,

@@ -96,8 +96,8 @@ pub fn run(args: &Args) -> Result<(), CliError> {
             is_endless: args.is_endless,
         },
         _ if of_capture => {
-            let message = "a sensor's sweeps are shared decoded: --loop, --model, --calibration, --sensor, --cut-azimuth, --return \
-                 and --gps-without-pps are for captures; leave them out, and set them in the daemon's configuration";
+            let message = "a sensor's sweeps are shared decoded: --loop, --model, --calibration, --sensor, --cut-azimuth, --return, \
+                 --gps-without-pps, --remove and --remove-box are for captures; leave them out, and set them in the daemon's configuration";
             return Err(CliError::Usage(message.to_owned()));
         }
         named => Source::Sensor {
