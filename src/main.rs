@@ -22,6 +22,7 @@ fn main() -> ExitCode {
         Command::Sensor(args) => cli::sensor::run(&args),
         Command::Inspect(args) => cli::inspect::run(&args),
         Command::Calib(args) => cli::calib::run(&args),
+        Command::Mask(args) => cli::mask::run(&args),
         Command::Config(args) => cli::config::run(&args),
         Command::Completions(args) => cli::completions::run(&args),
     })

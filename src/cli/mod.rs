@@ -10,6 +10,7 @@ pub mod doctor;
 mod error;
 pub mod inspect;
 pub mod jobs;
+pub mod mask;
 pub mod objects;
 pub mod options;
 pub mod output;
@@ -67,6 +68,8 @@ pub enum Command {
     Inspect(inspect::Args),
     /// Show and compare calibrations, and read that of an HDL-64E from its packets
     Calib(calib::Args),
+    /// Make the picture of the robot's own body from a capture of the robot at rest, for --mask
+    Mask(mask::Args),
     /// Check the daemon's configuration, or print an example
     Config(config::Args),
     /// Print the completions of a shell

@@ -102,6 +102,26 @@ fn is_dark(pixel: &[u8]) -> bool {
     luma < 128 && alpha >= 128
 }
 
+/// The bytes of a PNG picture that [`decode_mask`] reads: `hidden` has `width` pixels for each row,
+/// from the highest down.
+///
+/// # Errors
+/// The picture is empty, or too large for a PNG.
+pub fn encode_mask(width: usize, hidden: &[bool]) -> Result<Vec<u8>, png::EncodingError> {
+    let pixels: Vec<u8> = hidden
+        .iter()
+        .map(|&dark| if dark { 0 } else { 255 })
+        .collect();
+    let mut bytes = Vec::new();
+    let height = pixels.len() / width.max(1);
+    let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
+    encoder.set_color(png::ColorType::Grayscale);
+    let mut writer = encoder.write_header()?;
+    writer.write_image_data(&pixels)?;
+    writer.finish()?;
+    Ok(bytes)
+}
+
 fn luma(red: u8, green: u8, blue: u8) -> u32 {
     (299 * u32::from(red) + 587 * u32::from(green) + 114 * u32::from(blue)) / 1000
 }

@@ -12,7 +12,7 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 pub use error::WriteError;
-pub use mask::{MaskFileError, decode_mask, mask};
+pub use mask::{MaskFileError, decode_mask, encode_mask, mask};
 
 use sweepd_core::sensor::MAX_FILE_LEN;
 use sweepd_core::sensor::{Calibration, CalibrationError};

@@ -13,6 +13,7 @@ mod inputs;
 mod inspect;
 mod jobs;
 mod made;
+mod mask;
 mod objects;
 mod options;
 mod outputs;
