@@ -5,7 +5,7 @@
 //! cargo run --release --example simulated_scores
 //! ```
 //!
-//! Four kinds of scenes, five seeds each, three whole sweeps of each; by the default method and by
+//! All kinds of scenes, five seeds each, three whole sweeps of each; by the default method and by
 //! the paper's.
 
 #[path = "../tests/common/objects.rs"]
@@ -15,6 +15,7 @@ mod objects;
 #[allow(dead_code)]
 mod run;
 #[path = "../tests/common/simulated.rs"]
+#[allow(dead_code)]
 mod simulated;
 #[allow(dead_code)]
 mod tables;

@@ -1,7 +1,7 @@
 //! Sweeps of a simulated sensor, scored by what the simulator knows of every return.
 
 use sweepd::pipeline::Config;
-use sweepd::segment;
+use sweepd::segment::{self, Mount};
 use sweepd::sensor::Model;
 use sweepd::sweep::layout::flags;
 use sweepd::wire::data::ReturnMode;
@@ -24,16 +24,25 @@ pub struct Simulated {
 impl Simulated {
     /// Of a scene that stands around the sensor: only what moves in it differs from turn to turn.
     pub fn new(model: Model, setting: Setting, seed: u64, turns: f64) -> Self {
+        Self::mounted(model, setting, seed, turns, &Mount::default())
+    }
+
+    /// The same of a sensor that is mounted like this.
+    pub fn mounted(model: Model, setting: Setting, seed: u64, turns: f64, mount: &Mount) -> Self {
         let mut config = EmitterConfig::new(model, ReturnMode::Strongest).turns(turns);
-        (config.pose, config.seed) = (setting.pose(0), seed);
+        let scene = setting.build(seed);
+        config.pose = setting
+            .mounted(&scene, 0, mount)
+            .expect("a sensor in the open");
+        config.seed = seed;
         // So that no jitter decides whether the first sweep is whole.
         config.encoder.start_deg = START_DEG;
-        let sent = Emitter::new(config.clone(), &setting.build(seed)).collect();
+        let sent = Emitter::new(config.clone(), &scene).collect();
         Self { config, sent }
     }
 
-    /// Scores of the whole sweeps, labelled from the first packet on by one configuration.
-    pub fn score(&self, segment: &segment::Config, min_points: u32) -> Vec<ScanScore> {
+    /// The sweeps, labelled from the first packet on by one configuration.
+    pub fn run(&self, segment: &segment::Config) -> Run {
         let calibration = self
             .config
             .model
@@ -44,12 +53,28 @@ impl Simulated {
             segment: segment.clone(),
             ..Config::default()
         };
-        let run = Run::of_datagrams_with(config, self.sent.iter().map(SimulatedDatagram::datagram));
-        let truth: Vec<&PacketTruth> = self
-            .sent
-            .iter()
-            .filter_map(|sent| sent.truth.as_deref())
-            .collect();
+        Run::of_datagrams_with(config, self.sent.iter().map(SimulatedDatagram::datagram))
+    }
+
+    /// The truth of the data packets.
+    fn truth(&self) -> Vec<&PacketTruth> {
+        let truths = self.sent.iter().map(|sent| sent.truth.as_deref());
+        truths.flatten().collect()
+    }
+
+    /// The returns of a run, each with the truth of it.
+    pub fn seen(&self, run: &Run) -> Vec<(Placed, ReturnTruth)> {
+        let truth = self.truth();
+        let with_truth = |placed: Placed| {
+            let truth = *truth_of(&truth, &placed);
+            (placed, truth)
+        };
+        run.returns().into_iter().map(with_truth).collect()
+    }
+
+    /// Scores of the whole sweeps, labelled from the first packet on by one configuration.
+    pub fn score(&self, segment: &segment::Config, min_points: u32) -> Vec<ScanScore> {
+        let (run, truth) = (self.run(segment), self.truth());
         let (views, returns) = (run.views(), run.returns());
         let whole = |sweep: &&[Placed]| !views[sweep[0].sweep].header.has(flags::PARTIAL);
         let score = |sweep: &[Placed]| score_sweep(sweep, &truth, min_points);
@@ -61,6 +86,14 @@ impl Simulated {
     }
 }
 
+/// What a return really was.
+fn truth_of<'a>(truth: &[&'a PacketTruth], placed: &Placed) -> &'a ReturnTruth {
+    let records = &truth[placed.found.packet as usize].returns[usize::from(placed.found.block)];
+    records[placed.record]
+        .as_ref()
+        .expect("a return that was sent")
+}
+
 fn score_sweep(sweep: &[Placed], truth: &[&PacketTruth], min_points: u32) -> ScanScore {
     let point = |placed: &Placed| {
         let [x, y, z] = placed.found.point_m.map(|length| length as f32);
@@ -68,14 +101,7 @@ fn score_sweep(sweep: &[Placed], truth: &[&PacketTruth], min_points: u32) -> Sca
     };
     let points: Vec<[f32; 4]> = sweep.iter().map(point).collect();
     let labels: Vec<u32> = sweep.iter().map(|placed| placed.found.label).collect();
-    let known = |placed: &Placed| {
-        let records = &truth[placed.found.packet as usize].returns[usize::from(placed.found.block)];
-        true_label(
-            records[placed.record]
-                .as_ref()
-                .expect("a return that was sent"),
-        )
-    };
+    let known = |placed: &Placed| true_label(truth_of(truth, placed));
     let truth =
         Truth::new(&points, sweep.iter().map(known).collect()).expect("a true label a point");
     ScanScore::new(&truth, &labels, &[min_points]).expect("a label a point")
@@ -93,7 +119,7 @@ fn true_label(truth: &ReturnTruth) -> u32 {
         Class::Lorry => (18, true),
         Class::Person => (30, true),
         Class::Cyclist => (31, true),
-        Class::Pole | Class::Sign | Class::Furniture => (20, true),
+        Class::Pole | Class::Sign | Class::Furniture | Class::Pallet => (20, true),
     };
     if is_thing {
         truth.object << 16 | class

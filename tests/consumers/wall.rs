@@ -44,8 +44,8 @@ fn sweeps(model: Model) -> (Vec<HeapBuffer>, i64) {
     emitter.optics = Optics::perfect(24.0);
     emitter.encoder.jitter_deg = 0.0;
     emitter.pose = Start {
-        origin: Vec3::new(0.0, 0.0, up_m.into()),
         heading_rad: -f64::from(yaw_rad),
+        ..Start::upright(Vec3::new(0.0, 0.0, up_m.into()))
     };
     emitter.motion = Motion {
         velocity: Vec3::new(VELOCITY[0], VELOCITY[1], 0.0),

@@ -18,6 +18,7 @@ mod golden;
 mod hdl64e;
 mod leftover;
 mod matrix;
+mod mounts;
 mod objects;
 mod obstacles;
 mod pains;

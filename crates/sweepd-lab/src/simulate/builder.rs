@@ -43,6 +43,13 @@ impl Builder {
         );
     }
 
+    /// Puts in one upright block from one to another coordinate of each axis.
+    pub fn fill(&mut self, class: Class, [x, y, z]: [[f64; 2]; 3], reflectivity: u8) {
+        let base = [(x[0] + x[1]) / 2.0, (y[0] + y[1]) / 2.0, z[0]];
+        let extent = [x[1] - x[0], y[1] - y[0], z[1] - z[0]];
+        self.block(class, base, extent, reflectivity);
+    }
+
     /// Adds a prop that moves in the direction it faces.
     pub fn send(&mut self, speed_m_s: f64, prop: Prop) {
         let (sin, cos) = prop.place.heading_rad.sin_cos();

@@ -76,10 +76,7 @@ impl EmitterConfig {
             fov: None,
             mode_switch: None,
             packets: 0,
-            pose: Pose {
-                origin: Vec3::new(street::LANE_M, 0.0, 1.9),
-                heading_rad: 0.0,
-            },
+            pose: Pose::upright(Vec3::new(street::LANE_M, 0.0, 1.9)),
             motion: Motion::default(),
             encoder: Encoder {
                 start_deg: 0.0,

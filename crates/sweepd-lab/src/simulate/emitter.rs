@@ -272,7 +272,7 @@ fn eye(pose: &Pose, beams: &Calibration) -> (Vec3, f64) {
         .map(|beam| beam.horizontal_offset_m.abs())
         .fold(0.0, f64::max);
     (
-        pose.origin + Vec3::z() * ((low + high) / 2.0),
+        pose.origin + pose.turned(Vec3::z() * ((low + high) / 2.0)),
         f64::hypot((high - low) / 2.0, aside_m) + 0.01,
     )
 }

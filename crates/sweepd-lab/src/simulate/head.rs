@@ -1,6 +1,7 @@
 //! The turning head: its pose, its motion through the scene, its motor, and its encoder.
 
 use fastrand::Rng;
+use nalgebra::Rotation3;
 
 use super::shape::Vec3;
 use sweepd_core::wire::data::TURN_CDEG;
@@ -12,11 +13,34 @@ pub struct Pose {
     pub origin: Vec3,
     /// Which way the sensor's azimuth 0 points, clockwise from ahead, radians.
     pub heading_rad: f64,
+    /// How it is tilted before it is turned to that heading; `None` for upright.
+    pub tilt: Option<Rotation3<f64>>,
 }
 
 impl Pose {
+    /// An upright sensor there, whose azimuth 0 points ahead.
+    pub fn upright(origin: Vec3) -> Self {
+        Self {
+            origin,
+            heading_rad: 0.0,
+            tilt: None,
+        }
+    }
+
+    /// The same sensor, rolled right side down about its own y axis and then pitched nose up about
+    /// x, radians.
+    pub fn tilted(self, pitch_rad: f64, roll_rad: f64) -> Self {
+        let roll = Rotation3::from_axis_angle(&Vec3::y_axis(), roll_rad);
+        let pitch = Rotation3::from_axis_angle(&Vec3::x_axis(), pitch_rad);
+        Self {
+            tilt: ((pitch_rad, roll_rad) != (0.0, 0.0)).then_some(pitch * roll),
+            ..self
+        }
+    }
+
     /// A direction in the sensor's frame as one of the scene.
     pub fn turned(&self, way: Vec3) -> Vec3 {
+        let way = self.tilt.map_or(way, |tilt| tilt * way);
         if self.heading_rad == 0.0 {
             return way;
         }
@@ -45,6 +69,7 @@ impl Motion {
         Pose {
             origin: start.origin + self.velocity * time_s,
             heading_rad: start.heading_rad + self.turn_rad_s * time_s,
+            ..*start
         }
     }
 }
@@ -175,6 +200,8 @@ impl Motor {
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::FRAC_PI_2;
+
     use super::*;
 
     #[test]
@@ -277,9 +304,33 @@ mod tests {
     #[test]
     fn a_heading_turns_clockwise() {
         let right = Pose {
-            origin: Vec3::zeros(),
-            heading_rad: std::f64::consts::FRAC_PI_2,
+            heading_rad: FRAC_PI_2,
+            ..Pose::upright(Vec3::zeros())
         };
         assert!((right.turned(Vec3::new(0.0, 2.0, 1.0)) - Vec3::new(2.0, 0.0, 1.0)).norm() < 1e-12);
+    }
+
+    /// By hand: the sensor is rolled right side down, then pitched nose up, then turned clockwise.
+    #[test]
+    fn a_tilt_is_right_side_down_then_nose_up_and_goes_along_with_the_heading() {
+        let (x, y, z) = (Vec3::x(), Vec3::y(), Vec3::z());
+        let turn = |pitch_deg: f64, roll_deg: f64, heading_rad| Pose {
+            heading_rad,
+            ..Pose::upright(Vec3::zeros()).tilted(pitch_deg.to_radians(), roll_deg.to_radians())
+        };
+        let half = 0.5_f64.sqrt();
+        for (pose, way, expected) in [
+            (turn(45.0, 0.0, 0.0), y, (y + z) * half),
+            (turn(45.0, 0.0, 0.0), x, x),
+            (turn(0.0, 45.0, 0.0), x, (x - z) * half),
+            (turn(0.0, 45.0, 0.0), y, y),
+            (turn(0.0, 180.0, 0.0), x + y + z, y - x - z),
+            // Rolled first: then its right, which points down, is pitched ahead.
+            (turn(90.0, 90.0, 0.0), x, y),
+            (turn(-90.0, 0.0, FRAC_PI_2), y, -z),
+            (turn(45.0, 0.0, FRAC_PI_2), y, (x + z) * half),
+        ] {
+            assert!((pose.turned(way) - expected).norm() < 1e-12, "{pose:?}");
+        }
     }
 }

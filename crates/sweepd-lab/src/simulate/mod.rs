@@ -8,8 +8,9 @@
 //!
 //! * [`shape`]: convex solids and rays. [`scene`]: objects of such solids, and the ray that finds
 //!   the nearest.
-//! * [`props`]: what stands there. [`mod@street`], [`parking`], [`mod@field`], [`mod@room`]: the
-//!   scenes; [`setting`]: which of them, and where the sensors stand.
+//! * [`props`]: what stands there. [`mod@street`], [`parking`], [`mod@field`], [`mod@room`],
+//!   [`mod@corridor`], [`mod@warehouse`]: the scenes; [`setting`]: which of them, and how sensors are
+//!   mounted there.
 //! * [`beam`]: where a beam starts and goes, by the manual's formulas, and what the packet says of
 //!   it. [`mod@unit`]: the beams of an HDL-64E that was never built.
 //! * [`optics`]: from what a beam meets to the returns that the sensor reports.
@@ -49,6 +50,7 @@ mod status;
 pub mod beam;
 pub mod cloud;
 pub mod config;
+pub mod corridor;
 pub mod damage;
 pub mod delivery;
 pub mod emitter;
@@ -68,6 +70,7 @@ pub mod street;
 pub mod truth;
 pub mod unit;
 pub mod view;
+pub mod warehouse;
 
 pub use clock::ClockStep;
 pub use config::EmitterConfig;

@@ -102,10 +102,14 @@ pub struct Shot<'a> {
 
 impl Shot<'_> {
     fn ray(&self, direction: Vec3, azimuth_rad: f64) -> Ray {
+        let direction = self.pose.turned(direction);
         Ray {
             origin: self.pose.origin + self.pose.turned(self.aim.origin),
-            direction: self.pose.turned(direction),
-            azimuth_rad: azimuth_rad + self.pose.heading_rad,
+            direction,
+            azimuth_rad: match self.pose.tilt {
+                None => azimuth_rad + self.pose.heading_rad,
+                Some(_) => direction.x.atan2(direction.y),
+            },
         }
     }
 }
@@ -359,13 +363,7 @@ mod tests {
             ..Optics::perfect(100.0)
         };
         let view = View::new(scene, EYE, 0.03, 0.0, 0.01);
-        let (laser, pose) = (
-            laser(),
-            Pose {
-                origin: EYE,
-                heading_rad: 0.0,
-            },
-        );
+        let (laser, pose) = (laser(), Pose::upright(EYE));
         let shot = Shot {
             aim: laser.aimed(0.002_1),
             pose: &pose,

@@ -259,6 +259,92 @@ pub fn shelter(place: GroundPose) -> Prop {
         .cylinder([0.55, -1.7, 0.0], 0.05, 2.3, Plain(40))
 }
 
+/// A box on the floor: width across, length along, height.
+pub fn carton(place: GroundPose, size: [f64; 3], paper: u8) -> Prop {
+    Prop::new(Class::Furniture, place).cuboid([0.0; 3], size, Plain(paper))
+}
+
+/// Length, width and height of a EUR pallet (EN 13698-1).
+const PALLET_M: [f64; 3] = [1.2, 0.8, PALLET_HIGH_M];
+/// Its height alone, metres.
+pub const PALLET_HIGH_M: f64 = 0.144;
+
+/// A EUR pallet, its length along the way it faces: a deck on nine blocks, which stand on three
+/// boards. Goods of this height lie on it, metres; 0 for none.
+pub fn pallet(place: GroundPose, goods_m: f64, paper: u8) -> Prop {
+    let [length_m, width_m, height_m] = PALLET_M;
+    let (board_m, block_m) = (0.022, 0.078);
+    let wood = Plain(42);
+    let deck_m = board_m + block_m;
+    let mut pallet = Prop::new(Class::Pallet, place).cuboid(
+        [0.0, 0.0, deck_m],
+        [width_m, length_m, height_m - deck_m],
+        wood,
+    );
+    for across in [-0.35, 0.0, 0.35] {
+        pallet = pallet.cuboid([across, 0.0, 0.0], [0.1, length_m, board_m], wood);
+        for along in [-0.5275, 0.0, 0.5275] {
+            let base = [across, along, board_m];
+            pallet = pallet.cuboid(base, [0.1, 0.145, block_m], wood);
+        }
+    }
+    if goods_m == 0.0 {
+        return pallet;
+    }
+    let size = [width_m - 0.04, length_m - 0.04, goods_m];
+    pallet.cuboid([0.0, 0.0, height_m], size, Plain(paper))
+}
+
+/// Empty pallets on each other.
+pub fn pallet_stack(place: GroundPose, count: u32) -> Prop {
+    let mut stack = Prop::new(Class::Pallet, place);
+    for number in 0..count {
+        let one = pallet(place.raised(f64::from(number) * PALLET_HIGH_M), 0.0, 0);
+        stack.solids.extend(one.solids);
+    }
+    stack
+}
+
+/// From post to post of a rack along it, metres: three pallets side by side.
+pub const BAY_M: f64 = 2.8;
+/// Heights of the beams of a rack above the floor, metres.
+pub const BEAMS_M: [f64; 2] = [1.6, 3.2];
+
+/// A pallet rack of some bays along the way it faces: thin posts, and beams on which pallets lie.
+pub fn rack(place: GroundPose, bays: u32) -> Prop {
+    let mut rack = Prop::new(Class::Furniture, place);
+    let half_m = f64::from(bays) * BAY_M / 2.0;
+    for across in [-0.5, 0.5] {
+        for post in 0..=bays {
+            let base = [across, f64::from(post) * BAY_M - half_m, 0.0];
+            rack = rack.cuboid(base, [0.07, 0.09, 4.4], Plain(28));
+        }
+        for up in BEAMS_M {
+            let base = [across, 0.0, up - 0.12];
+            rack = rack.cuboid(base, [0.05, 2.0 * half_m, 0.12], Plain(50));
+        }
+    }
+    rack
+}
+
+/// A forklift: body, guard over the driver, mast, and forks in front.
+pub fn forklift(place: GroundPose) -> Prop {
+    let mut forklift = Prop::new(Class::Lorry, place)
+        .cuboid([0.0, -0.3, 0.2], [1.1, 1.7, 0.8], Plain(55))
+        .cuboid([0.0, -0.3, 2.05], [1.0, 1.2, 0.06], Plain(12))
+        .wheels(0.5, 0.55, [0.2, 0.5, 0.5]);
+    for across in [-0.45, 0.45] {
+        for along in [-0.85, 0.25] {
+            forklift = forklift.cuboid([across, along, 1.0], [0.06, 0.06, 1.05], Plain(12));
+        }
+        let fork = [0.5 * across, 1.25, 0.1];
+        forklift = forklift
+            .cuboid([0.8 * across, 0.65, 0.1], [0.1, 0.15, 2.1], Plain(15))
+            .cuboid(fork, [0.12, 1.1, 0.04], Plain(15));
+    }
+    forklift
+}
+
 /// Length, depth and height of a house; its front faces the way it faces, on its place.
 #[derive(Clone, Copy, Debug)]
 pub struct House {

@@ -48,25 +48,23 @@ fn walls(room: &mut Builder, size: &RoomSize) {
     let front = [ahead, ahead + WALL_M];
     let door = [right / 3.0 - DOOR_M / 2.0, right / 3.0 + DOOR_M / 2.0];
     let plaster = room.rng.u8(55..80);
-    for (x, y, z) in [
-        ([outer[0], left], [back, corridor_m], full),
-        ([right, outer[1]], [back, corridor_m], full),
-        ([left, right], [back, behind], full),
-        ([left, right], [corridor_m, corridor_m + WALL_M], full),
+    for block in [
+        [[outer[0], left], [back, corridor_m], full],
+        [[right, outer[1]], [back, corridor_m], full],
+        [[left, right], [back, behind], full],
+        [[left, right], [corridor_m, corridor_m + WALL_M], full],
         // The wall ahead has the door.
-        ([left, door[0]], front, full),
-        ([door[1], right], front, full),
-        (door, front, [DOOR_HIGH_M, size.height_m]),
+        [[left, door[0]], front, full],
+        [[door[1], right], front, full],
+        [door, front, [DOOR_HIGH_M, size.height_m]],
         // The ceiling.
-        (
+        [
             outer,
             [back, corridor_m + WALL_M],
             [size.height_m, size.height_m + WALL_M],
-        ),
+        ],
     ] {
-        let base = [(x[0] + x[1]) / 2.0, (y[0] + y[1]) / 2.0, z[0]];
-        let extent = [x[1] - x[0], y[1] - y[0], z[1] - z[0]];
-        room.block(Class::Building, base, extent, plaster);
+        room.fill(Class::Building, block, plaster);
     }
 }
 

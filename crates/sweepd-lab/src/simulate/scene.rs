@@ -21,7 +21,7 @@ pub enum Class {
     Building,
     /// A passenger car.
     Car,
-    /// A lorry or a van.
+    /// A lorry, a van or a forklift.
     Lorry,
     /// Someone on foot.
     Person,
@@ -33,8 +33,10 @@ pub enum Class {
     Sign,
     /// A tree, a bush or a hedge.
     Tree,
-    /// Bins, benches, shelters, fences, tables and shelves.
+    /// Bins, benches, shelters, fences, tables, shelves, racks and boxes.
     Furniture,
+    /// A pallet with what lies on it.
+    Pallet,
     /// The surface of a real scan's point, whose class is in the labels.
     Unknown,
 }
@@ -53,6 +55,7 @@ impl Class {
             Self::Sign => "sign",
             Self::Tree => "tree",
             Self::Furniture => "furniture",
+            Self::Pallet => "pallet",
             Self::Unknown => "unknown",
         }
     }
@@ -196,6 +199,17 @@ impl Scene {
         )
     }
 
+    /// What a sensor at a point would be in or over at time 0, if the ground below it is not free.
+    pub(super) fn below(&self, point: Vec3) -> Option<Class> {
+        let eye = self.levelled(point);
+        let is_below = |solid: &&Solid| {
+            let bounds = solid.shape.bounds();
+            bounds.reach(eye)[0] < HOUSING_M && bounds.z[0] < eye.z + HOUSING_M
+        };
+        let solid = self.solids.iter().find(is_below)?;
+        Some(self.object(solid.object).class)
+    }
+
     /// The ray in the frame in which the ground is level. Its direction is no longer of length 1,
     /// so that distances are still those of the world.
     #[inline]
@@ -277,6 +291,9 @@ impl Solid {
         if within { f64::INFINITY } else { brim.outer_m }
     }
 }
+
+/// How far a sensor's housing reaches from its origin, metres.
+const HOUSING_M: f64 = 0.05;
 
 /// How far a window lies behind its wall.
 pub(super) const WINDOW_RECESS_M: f64 = 0.18;

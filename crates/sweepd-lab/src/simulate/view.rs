@@ -17,6 +17,10 @@ const PER_SECTOR: f64 = SECTORS as f64 / std::f64::consts::TAU;
 /// radians.
 const RIM_RAD: f64 = 0.003;
 
+/// Beams that go less far across than this for each metre along them meet the outlines of more
+/// solids than [`RIM_RAD`] allows for: parts of such a beam may always meet something else.
+const STEEP: f64 = 0.5;
+
 /// Upper bound of the azimuth error of a curved ray, radians.
 const ASTRAY_RAD: f64 = 0.000_1;
 
@@ -264,7 +268,7 @@ impl<'a> View<'a> {
         }
         Look {
             hit,
-            edge: edge_m <= limit_m,
+            edge: edge_m <= limit_m || sight.across < STEEP,
         }
     }
 

@@ -117,6 +117,92 @@ fn a_wall_stands_where_plain_trigonometry_puts_it() {
     }
 }
 
+/// By hand: the sensor's axes are rolled right side down about y, then pitched nose up about x, so
+/// that its right, ahead and up rise by -cos p sin r, sin p and cos p cos r. A beam from a height
+/// meets level ground after that height over its fall.
+#[test]
+fn a_tilted_sensor_meets_the_ground_at_height_over_sine() {
+    for (model, pitch_deg, roll_deg) in [
+        (Model::Hdl32e, -10.0, 0.0),
+        (Model::Vlp16, 7.0, -25.0),
+        (Model::Vlp32c, 12.0, 178.0),
+        (Model::Vlp16, -90.0, 0.0),
+    ] {
+        let height_m = 0.4;
+        let mut config = exact(model, ReturnMode::Strongest);
+        config.pose.origin.z = height_m;
+        let (pitch_rad, roll_rad) = (f64::to_radians(pitch_deg), f64::to_radians(roll_deg));
+        config.pose = config.pose.tilted(pitch_rad, roll_rad);
+        let beams = model.calibration().unwrap().beams();
+        let rise = Vec3::new(
+            -pitch_rad.cos() * roll_rad.sin(),
+            pitch_rad.sin(),
+            pitch_rad.cos() * roll_rad.cos(),
+        );
+        let (mut met, mut ahead) = (0, 0);
+        for (packet, truth) in data(config, &Scene::new([0.0; 2], 20)) {
+            let truths = truth.returns.iter().flatten();
+            let records = packet.blocks.iter().flat_map(|block| &block.records);
+            for (number, (record, truth)) in records.zip(truths).enumerate() {
+                let Some(truth) = truth else { continue };
+                let beam = &beams[number % beams.len()];
+                let (sin, cos) = beam.elevation_rad.sin_cos();
+                let (sin_a, cos_a) = truth.azimuth_rad.sin_cos();
+                let fall = -rise.dot(&Vec3::new(cos * sin_a, cos * cos_a, sin));
+                let range_m = (height_m + rise.z * beam.vertical_offset_m) / fall;
+                let found_m = f64::from(record.distance.get()) * model.spec().distance_unit_m;
+                assert!(
+                    (found_m - range_m).abs() < 0.002_1 && (truth.range_m - range_m).abs() < 1e-6,
+                    "{model}: {found_m} {range_m} {truth:?}"
+                );
+                assert_eq!(truth.class, Class::Ground);
+                met += 1;
+                // Straight ahead: 0.4 m / sin 10 degrees.
+                if model == Model::Hdl32e && sin.abs() < 1e-4 && sin_a.abs() < 2e-3 && cos_a > 0.0 {
+                    assert!((found_m - 2.303_5).abs() < 0.002, "{found_m}");
+                    ahead += 1;
+                }
+            }
+        }
+        assert!(met > 5_000, "{model}: {met}");
+        assert_eq!(ahead > 0, model == Model::Hdl32e);
+    }
+}
+
+/// A sensor pitched straight up looks along its own axis ahead at the ceiling.
+#[test]
+fn a_ceiling_is_met_from_below() {
+    let mut scene = Scene::new([0.0; 2], 20);
+    let ceiling = Shape::cuboid([0.0, 0.0, 2.5], [90.0, 90.0, 0.2], 0.0);
+    scene.add(
+        Class::Building,
+        Vec3::zeros(),
+        [(ceiling, Surface::Plain(60))],
+    );
+    let mut config = exact(Model::Hdl32e, ReturnMode::Strongest);
+    // With the spread of a beam: near plumb all of it is cast.
+    config.optics.spread_rad = 0.001_5;
+    config.pose.origin.z = 0.4;
+    config.pose = config.pose.tilted(std::f64::consts::FRAC_PI_2, 0.0);
+    let beams = Model::Hdl32e.calibration().unwrap().beams();
+    let mut met = 0;
+    for (_, truth) in data(config, &scene) {
+        for block in &truth.returns {
+            for (truth, beam) in block.iter().zip(beams) {
+                let Some(truth) = truth.filter(|one| one.class == Class::Building) else {
+                    continue;
+                };
+                let up = beam.elevation_rad.cos() * truth.azimuth_rad.cos();
+                if up > 0.3 {
+                    assert!((truth.range_m - 2.1 / up).abs() < 0.003, "{truth:?} {up}");
+                    met += 1;
+                }
+            }
+        }
+    }
+    assert!(met > 10_000, "{met}");
+}
+
 #[test]
 fn packets_are_the_same_without_the_truth() {
     let scene = street(3);
