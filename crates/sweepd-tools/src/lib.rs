@@ -9,5 +9,6 @@
 
 pub mod commands;
 pub mod lab;
+mod scene;
 mod soak;
 pub mod view;

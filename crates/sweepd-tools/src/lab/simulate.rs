@@ -32,10 +32,10 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     if let Some(file) = &args.cloud.from_cloud {
         return cloud::run(args, file);
     }
-    let configs = args.configs()?;
+    let scene = args.scene.build(args.seed);
+    let configs = args.configs(&scene)?;
     let existing = args.force.existing();
     let former = args.former_truth()?;
-    let scene = args.scene.build(args.seed);
     let mut sensors = configs
         .iter()
         .map(|config| Simulated::new(args, config, &scene))

@@ -12,10 +12,12 @@ use sweepd::cli::publish::RootOptions;
 use sweepd::publish::is_sensor_name;
 use sweepd_core::pipeline;
 use sweepd_core::sensor::Model;
+use sweepd_lab::simulate::Setting;
 
 use super::source::reader::{Origin, SourceConfig};
 use super::source::simulation::Simulation;
 use super::{Source, serve};
+use crate::scene::scene;
 
 /// Where the page is by default.
 const LISTEN: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 9178);
@@ -30,6 +32,7 @@ and nothing that a browser does can slow a sensor.
 Examples:
   sweepd view pcap_fixtures/street_vlp16.pcap.gz
   sweepd view --simulate hdl32e
+  sweepd view --simulate vlp16 --scene warehouse --height 0.4 --pitch -10
   sweepd view roof
   ssh -t -L 9178:localhost:9178 ROBOT sweepd view --no-open")]
 pub struct Args {
@@ -37,9 +40,13 @@ pub struct Args {
     /// only sensor; of several, the page lists them]
     #[arg(value_name = "SOURCE")]
     source: Option<PathBuf>,
-    /// A simulated sensor of this model on a street, instead of a SOURCE
+    /// A simulated sensor of this model, instead of a SOURCE; it is mounted as --height, --pitch and
+    /// --roll say
     #[arg(long, value_name = "MODEL", value_parser = model, conflicts_with = "source")]
     simulate: Option<Model>,
+    /// Scene of the simulated sensor
+    #[arg(long, default_value = "street", value_parser = scene(), requires = "simulate")]
+    scene: Setting,
     /// Where to serve the page; port 0 takes a free one
     #[arg(long, value_name = "IP:PORT", default_value_t = LISTEN)]
     listen: SocketAddr,
@@ -85,7 +92,10 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     };
     let source = match args.source.as_deref() {
         None if let Some(model) = args.simulate => {
-            let simulation = Simulation::new(model, sweepd_lab::simulate::Setting::Street);
+            let simulation =
+                Simulation::new(model, args.scene, &segment.mount).map_err(|error| {
+                    CliError::Usage(format!("{error}; give another --height or --scene"))
+                })?;
             Source::Capture {
                 source_config: source_config(Origin::Simulation(Arc::new(simulation))),
                 is_endless: true,

@@ -63,7 +63,14 @@ fn replayed(capture: &Path, options: &[&str]) -> (Vec<Value>, Vec<Value>) {
     )
 }
 
-const SCENES: [&str; 4] = ["street", "parking-lot", "field", "room"];
+const SCENES: [&str; 6] = [
+    "street",
+    "parking-lot",
+    "field",
+    "room",
+    "corridor",
+    "warehouse",
+];
 
 /// Every scene, return mode and both ends of the range of speeds.
 #[track_caller]
@@ -661,7 +668,13 @@ fn what_cannot_be_simulated_is_one_error_with_its_flag_and_the_cure() {
             "--model=vlp32a",
             "vlp16, puck-lite, puck-hires, hdl32e, hdl64e-s2, hdl64e-s3, vlp32c, vls128",
         ),
-        ("--scene=moon", "street, parking-lot, field, room"),
+        (
+            "--scene=moon",
+            "street, parking-lot, field, room, corridor, warehouse",
+        ),
+        ("--height=0", "0.01 to 200 metres"),
+        ("--pitch=91", "-90 to 90 degrees"),
+        ("--roll=nan", "-180 to 180 degrees"),
         ("--rpm=299", "300 to 1200 turns a minute"),
         ("--rpm=nan", "300 to 1200 turns a minute"),
         ("--returns=last", "single, dual"),
@@ -704,6 +717,15 @@ fn what_cannot_be_simulated_is_one_error_with_its_flag_and_the_cure() {
         );
         assert!(!Path::new(file).exists(), "{option}");
     }
+    let args = [
+        "simulate",
+        "--model=vlp16",
+        "--scene=room",
+        "--height=5",
+        "--pcap",
+        file,
+    ];
+    sweepd(&args).says(&["sensor 1 would be 5.00 m above", "(building)", "--height"]);
     for option in ["--returns=dual", "--mode-switch=1"] {
         let flag = option.replace('=', " ");
         let flag = if flag.contains("switch") {

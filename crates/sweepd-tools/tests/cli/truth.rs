@@ -165,3 +165,44 @@ fn a_calibration_is_simulated_and_undone_by_the_same_one() {
         "16 beams",
     ]);
 }
+
+/// By hand: what a sensor with its nose 10 degrees down sees of the floor lies on the plane
+/// y sin -10 + z cos -10 = -0.4 of its axes; head down, z is turned over.
+#[test]
+fn the_floor_lies_below_a_mounted_sensor_as_its_height_and_tilt_say() {
+    let folder = Folder::new("mounted");
+    let (sin, cos) = (-10_f64).to_radians().sin_cos();
+    for (options, up) in [
+        (
+            "--scene=warehouse --height=0.4 --pitch=-10",
+            [0.0, sin, cos],
+        ),
+        (
+            "--scene=corridor --height=0.4 --pitch=-10 --roll=180",
+            [0.0, sin, -cos],
+        ),
+        ("--scene=room --height=0.4 --roll=-10", [-sin, 0.0, cos]),
+    ] {
+        let options: Vec<&str> = options
+            .split(' ')
+            .chain(["--model=vlp16", "--seconds=0.2"])
+            .collect();
+        let both = with_truth(&folder, 16, &options, &[]);
+        let floor = both.iter().filter(|[_, truth]| truth[4] == "ground");
+        let mut off: Vec<f64> = floor
+            .map(|[found, _]| {
+                let at = [9, 10, 11].map(|field| number(&found[field]));
+                let height_m: f64 = at.iter().zip(up).map(|(at, up)| at * up).sum();
+                (height_m + 0.4).abs()
+            })
+            .collect();
+        off.sort_by(f64::total_cmp);
+        // The foot of a thing is nearer to the sensor where a beam meets both.
+        assert!(
+            off.len() > 3_000 && off[off.len() * 98 / 100] < 0.02,
+            "{options:?}: {} {:?}",
+            off.len(),
+            off.last()
+        );
+    }
+}

@@ -8,18 +8,20 @@ use clap::ValueEnum;
 
 use super::faults::FaultOptions;
 use super::truth::former;
+use crate::scene::scene;
 use sweepd::cli::CliError;
 use sweepd::cli::options::{model, within};
 use sweepd::cli::output::ForceOptions;
 use sweepd::cli::play::destination;
 use sweepd::files;
 use sweepd::files::output::Former;
+use sweepd_core::segment::Mount;
 use sweepd_core::sensor::model::Spec;
 use sweepd_core::sensor::{Calibration, Model, ModelExt};
 use sweepd_core::wire::data::ReturnMode;
 use sweepd_lab::simulate::clock::{Clock, Reception};
 use sweepd_lab::simulate::shape::Vec3;
-use sweepd_lab::simulate::{EmitterConfig, Motion, Motor, Setting};
+use sweepd_lab::simulate::{EmitterConfig, Motion, Motor, Scene, Setting};
 
 /// Most sensors: their addresses are 192.168.1.201 to .254.
 const MAX_SENSORS: usize = 54;
@@ -35,7 +37,7 @@ const START_UTC_NS: i64 = 1_777_889_843_000_000_000;
 #[command(after_help = "\
 The truth (--truth DIR), for scoring a segmentation:
   objects.csv  object,class; classes are ground, building, car, lorry,
-               person, cyclist, pole, sign, tree and furniture
+               person, cyclist, pole, sign, tree, furniture and pallet
   truth.csv    packet,block,record,object,class,range_m,azimuth_deg,time_ns:
                a line per return that was delivered, before noise and
                rounding. Packets and blocks are counted as in the files of
@@ -49,6 +51,7 @@ found; class is unknown, range_m is from the origin of the beam, and there is no
 Examples:
   sweepd simulate --model vlp16 --pcap street.pcap.gz
   sweepd simulate --model hdl32e --scene room --pcap - | sweepd replay -
+  sweepd simulate --model vlp16 --scene warehouse --height 0.4 --pitch -10 --pcap robot.pcap
   sweepd simulate --model hdl64e-s3 --returns dual --pcap hdl64e.pcap.gz
   sweepd simulate --model vlp16 --model hdl32e --to 127.0.0.1:2368
   sweepd simulate --model vlp16 --loss 1 --pcap lossy.pcap --truth truth
@@ -59,9 +62,11 @@ pub struct Args {
     /// 192.168.1.202, ...
     #[arg(long = "model", value_name = "MODEL", required_unless_present = "from_cloud", value_parser = model)]
     pub(super) models: Vec<Model>,
-    /// Scene: street, parking-lot, field or room
-    #[arg(long, default_value = "street", value_parser = setting)]
+    /// Scene; all sensors stand in the same one
+    #[arg(long, default_value = "street", value_parser = scene())]
     pub(super) scene: Setting,
+    #[command(flatten)]
+    pub(super) mount: MountOptions,
     /// Seed of all chance: of the scene, the noise and the faults
     #[arg(long, value_name = "N", default_value = "1", value_parser = seed, allow_negative_numbers = true)]
     pub(super) seed: u64,
@@ -124,6 +129,37 @@ pub struct Args {
     pub(super) faults: FaultOptions,
 }
 
+/// How the sensors are mounted.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub struct MountOptions {
+    /// Height of the sensors above the ground, metres [default: 1.9; room 0.9, corridor and
+    /// warehouse 0.4]
+    #[arg(long, value_name = "M", value_parser = within(0.01..=200.0, "metres"), allow_negative_numbers = true)]
+    height: Option<f64>,
+    /// Pitch of the sensors, nose up, degrees from plumb
+    #[arg(
+        long, value_name = "DEG", default_value = "0",
+        value_parser = within(-90.0..=90.0, "degrees"), allow_negative_numbers = true
+    )]
+    pitch: f64,
+    /// Roll of the sensors, right side down, degrees from plumb; 180 is head down
+    #[arg(
+        long, value_name = "DEG", default_value = "0",
+        value_parser = within(-180.0..=180.0, "degrees"), allow_negative_numbers = true
+    )]
+    roll: f64,
+}
+
+impl MountOptions {
+    fn mount(self) -> Mount {
+        Mount {
+            height_m: self.height.map(|height_m| height_m as f32),
+            pitch_rad: self.pitch.to_radians() as f32,
+            roll_rad: self.roll.to_radians() as f32,
+        }
+    }
+}
+
 /// Where the datagrams go.
 #[derive(Clone, Debug, clap::Args)]
 #[group(required = true, multiple = false)]
@@ -144,17 +180,6 @@ pub enum Returns {
     Single,
     /// The last, and the strongest or second strongest
     Dual,
-}
-
-/// A scene, by its name.
-fn setting(text: &str) -> Result<Setting, String> {
-    Setting::ALL
-        .into_iter()
-        .find(|setting| setting.name() == text)
-        .ok_or_else(|| {
-            let names = Setting::ALL.map(Setting::name).join(", ");
-            format!("no scene; expected one of {names}")
-        })
 }
 
 /// Value of `--gps`: none, or when it has satellites.
@@ -246,7 +271,7 @@ pub struct CloudOptions {
     #[arg(
         long,
         value_name = "FILE.bin",
-        conflicts_with_all = ["models", "scene", "returns", "velocity", "turn_rate", "spin_up", "stall", "mode_switch", "new_rpm", "fov", "clock_step", "exchange"]
+        conflicts_with_all = ["models", "scene", "height", "pitch", "roll", "returns", "velocity", "turn_rate", "spin_up", "stall", "mode_switch", "new_rpm", "fov", "clock_step", "exchange"]
     )]
     pub(super) from_cloud: Option<PathBuf>,
     /// Fit each beam's elevation and vertical offset to the scan, and write that calibration for
@@ -356,14 +381,15 @@ impl Args {
         }
     }
 
-    /// The sensors to simulate.
-    pub(super) fn configs(&self) -> Result<Vec<EmitterConfig>, CliError> {
+    /// The sensors to simulate in a scene.
+    pub(super) fn configs(&self, scene: &Scene) -> Result<Vec<EmitterConfig>, CliError> {
         let start_utc_ns = self.start_utc_ns();
         let mode = if self.returns == Returns::Dual {
             ReturnMode::Dual
         } else {
             ReturnMode::Strongest
         };
+        let mount = self.mount.mount();
         let mut configs = Vec::with_capacity(self.models.len());
         for (number, &model) in self.models.iter().enumerate() {
             self.check_returns(model)?;
@@ -377,7 +403,12 @@ impl Args {
             };
             config.fov = self.faults.fov;
             config.clock_step = self.faults.clock_step;
-            config.pose = self.scene.pose(number);
+            let pose = self.scene.mounted(scene, number, &mount);
+            config.pose = pose.map_err(|error| {
+                CliError::Usage(format!(
+                    "{error}; give another --height, --scene or --seed, or fewer sensors"
+                ))
+            })?;
             config.motion = Motion {
                 velocity: self.velocity,
                 turn_rad_s: self.turn_rate.to_radians(),

@@ -4,10 +4,11 @@
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
+use sweepd_core::segment::Mount;
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::data::ReturnMode;
 use sweepd_lab::simulate::clock::{Clock, Reception};
-use sweepd_lab::simulate::{Emitter, EmitterConfig, Setting, SimulatedDatagram};
+use sweepd_lab::simulate::{Emitter, EmitterConfig, Scene, Setting, SimulatedDatagram};
 
 /// How long it is, seconds. The scene stands still: more would show no more.
 const SECONDS: f64 = 10.0;
@@ -18,6 +19,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(100);
 pub(crate) struct Simulation {
     config: EmitterConfig,
     setting: Setting,
+    scene: Scene,
     made: Mutex<Made>,
     more: Condvar,
 }
@@ -29,20 +31,25 @@ struct Made {
 }
 
 impl Simulation {
-    /// A sensor of this model on a street, or in another scene.
-    pub(crate) fn new(model: Model, setting: Setting) -> Self {
+    /// A sensor of this model in a scene, mounted like this.
+    ///
+    /// # Errors
+    /// A message: it cannot be there.
+    pub(crate) fn new(model: Model, setting: Setting, mount: &Mount) -> Result<Self, String> {
         let mut config = EmitterConfig::new(model, ReturnMode::Strongest);
-        config.pose = setting.pose(0);
+        let scene = setting.build(config.seed);
+        config.pose = setting.mounted(&scene, 0, mount)?;
         config.clock = Clock::Gps {
             position_deg: (50.110_6, 8.682_1),
             reception: Reception::ALWAYS,
         };
-        Self {
+        Ok(Self {
             config: config.seconds(SECONDS, None),
             setting,
+            scene,
             made: Mutex::default(),
             more: Condvar::new(),
-        }
+        })
     }
 
     /// The model and the scene.
@@ -53,8 +60,7 @@ impl Simulation {
 
     /// Makes all datagrams; ends early when `is_over` says so.
     pub(super) fn make(&self, is_over: impl Fn() -> bool) {
-        let scene = self.setting.build(self.config.seed);
-        for datagram in Emitter::new(self.config.clone(), &scene).untold() {
+        for datagram in Emitter::new(self.config.clone(), &self.scene).untold() {
             if is_over() {
                 break;
             }
