@@ -28,6 +28,7 @@ mod removal;
 mod segment;
 mod share;
 mod simulated_scores;
+mod small_robots;
 mod strips;
 mod sweeps;
 mod truth;

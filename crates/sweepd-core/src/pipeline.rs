@@ -320,8 +320,8 @@ impl Pipeline {
         let removed_rows = remover.map_or(0, |remover| remover.rows);
         self.dark_beams.look(&sweep.as_ref(), removed_rows);
         if self.segmenter.objects().is_some() {
-            let method = self.setup.config.segment.method;
-            self.objects_of = ObjectsOf::complete(sweep.header, method);
+            let config = &self.setup.config.segment;
+            self.objects_of = ObjectsOf::complete(sweep.header, config);
         }
     }
 

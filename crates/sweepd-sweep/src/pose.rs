@@ -204,6 +204,14 @@ mod tests {
         assert!(rolled.apply([1.0, 0.0, 0.0])[2] < -0.09);
         assert!(pitched.apply([0.0, 1.0, 0.0])[2] > 0.09);
         assert!(turned.apply([0.0, 1.0, 0.0])[0] < -0.09);
+        // Head down, right is left and up is down.
+        header.position_m = [0.5, 1.0, 1.5];
+        (header.roll_rad, header.pitch_rad, header.yaw_rad) = (std::f32::consts::PI, 0.0, 0.0);
+        let head_down = Pose::of_mount(&header);
+        close(
+            head_down.apply([1.0, 2.0, 3.0]),
+            Vector3::new(-0.5, 3.0, -1.5),
+        );
         // Forward is x, right is minus y.
         assert_eq!(Pose::ROS.apply([1.0, 2.0, 3.0]), [2.0, -1.0, 3.0]);
     }

@@ -1,7 +1,7 @@
 //! What comes out of a pipeline.
 
 use super::report::{Fault, Notice};
-use crate::segment::Method;
+use crate::segment::Config;
 use crate::segment::objects::Objects;
 use crate::sweep::Header;
 use crate::sweep::layout::{TimeSource, flags as sweep_flags};
@@ -57,9 +57,9 @@ impl ObjectsOf {
     }
 
     /// The sweep is complete.
-    pub fn complete(header: &Header, method: Method) -> Self {
+    pub fn complete(header: &Header, config: &Config) -> Self {
         let mut bits = flags::LAST;
-        if method == Method::Slope && header.height_m <= 0.0 {
+        if config.estimates_height() && header.height_m <= 0.0 {
             bits |= flags::NO_HEIGHT;
         }
         if header.has(sweep_flags::PARTIAL) {

@@ -4,7 +4,8 @@
 //! It treats as many columns at once as a vector has lanes, row by row, in numbers of 16 bits. So
 //! the strip is put into [`Spots`] first. Then it is gone over four times: up for what is steep,
 //! down for the faces that this makes, up for the climb itself, down for what waited. On the way up
-//! each lane is a column, on the way down each bit of a word.
+//! each lane is a column, on the way down each bit of a word. Up is from the last row to the first,
+//! or from the first to the last where the sensor hangs head down.
 
 use fearless_simd::{Simd, prelude::*};
 
@@ -64,24 +65,30 @@ impl Climb {
     #[inline(always)]
     pub fn next<S: Simd>(&mut self, simd: S, beams: &Beams, ranges: &Ranges, position: usize) {
         let mut rows = [ClimbedRow::default(); MAX_ROWS];
-        let rows = &mut rows[..beams.rows()];
+        let upwards = beams.upwards();
         if let Some(height_m) = self.height_m {
-            for (row, spots) in self.spots[..rows.len()].iter_mut().enumerate() {
+            for (row, spots) in self.spots[..beams.rows()].iter_mut().enumerate() {
                 spots.place(simd, height_m, beams, ranges, row, position);
             }
-            self.find_steep(simd, ranges, rows);
-            let faces = faces(ranges, rows);
-            self.climb(simd, ranges, &faces, rows);
+            self.find_steep(simd, ranges, upwards, &mut rows);
+            let faces = faces(ranges, upwards, &rows);
+            self.climb(simd, ranges, upwards, &faces, &mut rows);
         }
-        self.settle(ranges, rows);
+        self.settle(ranges, upwards, &rows);
     }
 
     /// What is steep over its foot, the last return below it that is not.
     #[inline(always)]
-    fn find_steep<S: Simd>(&self, simd: S, ranges: &Ranges, rows: &mut [ClimbedRow]) {
+    fn find_steep<S: Simd>(
+        &self,
+        simd: S,
+        ranges: &Ranges,
+        upwards: &[usize],
+        rows: &mut [ClimbedRow; MAX_ROWS],
+    ) {
         for first in (0..STRIP).step_by(S::i16s::LEN) {
             let mut foot = Spot::below_sensor(simd);
-            for (row, found) in rows.iter_mut().enumerate().rev() {
+            for &row in upwards {
                 if is_empty::<S>(ranges.read[row], first) {
                     continue;
                 }
@@ -91,6 +98,7 @@ impl Climb {
                 let apart: S::i16s = (here.away - foot.away).abs();
                 let steep = rise.saturating_add(MAX_STEP).simd_gt(in_height::<S>(apart)) & real;
                 let step = steep & rise.simd_gt(MAX_STEP);
+                let found = &mut rows[row];
                 found.steep |= steep.to_bitmask() << first;
                 found.step |= step.to_bitmask() << first;
                 foot = here.or(foot, real & !steep);
@@ -104,12 +112,13 @@ impl Climb {
         &self,
         simd: S,
         ranges: &Ranges,
+        upwards: &[usize],
         faces: &[u64; MAX_ROWS],
-        rows: &mut [ClimbedRow],
+        rows: &mut [ClimbedRow; MAX_ROWS],
     ) {
         for first in (0..STRIP).step_by(S::i16s::LEN) {
             let mut climber = Climber::new(simd);
-            for (row, found) in rows.iter_mut().enumerate().rev() {
+            for &row in upwards {
                 if is_empty::<S>(ranges.read[row], first) {
                     continue;
                 }
@@ -117,6 +126,7 @@ impl Climb {
                 let face = S::mask16s::from_bitmask(simd, faces[row] >> first);
                 let here = self.spots[row].load(simd, first);
                 let step = climber.step(here, real, face);
+                let found = &mut rows[row];
                 found.sure |= step.sure.to_bitmask() << first;
                 found.doubt |= step.doubt.to_bitmask() << first;
                 found.low |= step.low.to_bitmask() << first;
@@ -129,10 +139,11 @@ impl Climb {
 
     /// Settles what waited, from the top.
     #[inline(always)]
-    fn settle(&mut self, ranges: &Ranges, rows: &[ClimbedRow]) {
+    fn settle(&mut self, ranges: &Ranges, upwards: &[usize], rows: &[ClimbedRow; MAX_ROWS]) {
         let mut is_ground = 0;
         let mut is_object = 0;
-        for (row, found) in rows.iter().enumerate() {
+        for &row in upwards.iter().rev() {
+            let found = &rows[row];
             let ground = found.sure | found.low & is_ground | found.doubt & !is_object;
             push(&mut self.ground[row], ground);
             let waits = (found.doubt | found.low) & !found.ends | !ranges.read[row];
@@ -144,10 +155,11 @@ impl Climb {
 
 /// The faces of each row: what is steep below a step, down to its foot.
 #[inline(always)]
-fn faces(ranges: &Ranges, rows: &[ClimbedRow]) -> [u64; MAX_ROWS] {
+fn faces(ranges: &Ranges, upwards: &[usize], rows: &[ClimbedRow; MAX_ROWS]) -> [u64; MAX_ROWS] {
     let mut faces = [0; MAX_ROWS];
     let mut below_step = 0;
-    for (row, found) in rows.iter().enumerate() {
+    for &row in upwards.iter().rev() {
+        let found = &rows[row];
         let read = ranges.read[row];
         below_step |= found.step;
         faces[row] = below_step & read;
@@ -367,6 +379,8 @@ impl<S: Simd> Climber<S> {
 
 #[cfg(test)]
 mod tests {
+    use std::f32::consts::PI;
+
     use fearless_simd::{Level, dispatch};
 
     use super::*;
@@ -380,10 +394,12 @@ mod tests {
 
     /// A word, bit r for row r, of the ground in a column of points: distance and height from a
     /// sensor this high over the ground. It is put into several columns of a strip, and seen with
-    /// the sensor upright and tilted.
+    /// the sensor upright and head down, level and tilted.
     fn climbed(level: Level, sensor_m: f32, column: &[(f64, f64)]) -> u32 {
         let mut found = Vec::new();
-        for tilt in [0.0, 0.1_f64] {
+        for (tilt, roll_rad) in [(0.0, 0.0), (0.1_f64, 0.0), (0.0, PI), (0.1, PI)] {
+            // Head down, the highest row over the ground is the last, and all rows look the other way.
+            let is_head_down = roll_rad > 0.0;
             let shape = Shape {
                 rows: column.len(),
                 columns_capacity: STRIP,
@@ -395,8 +411,12 @@ mod tests {
             sweep.header.columns = STRIP as u32;
             let mut ranges = Ranges::default();
             let places = [0, 5, 15, 16, 63];
-            for (row, &(away_m, height_m)) in column.iter().enumerate() {
-                let elevation_rad = height_m.atan2(away_m) + tilt;
+            for (index, &(away_m, height_m)) in column.iter().enumerate() {
+                let (row, side) = match is_head_down {
+                    true => (column.len() - 1 - index, -1.0),
+                    false => (index, 1.0),
+                };
+                let elevation_rad = side * (height_m.atan2(away_m) + tilt);
                 sweep.beams[row] = Beam::ideal(row, elevation_rad).row(0);
                 for place in places {
                     let lane = lane_read(row) + place;
@@ -408,6 +428,7 @@ mod tests {
             }
             let mount = Mount {
                 pitch_rad: -tilt as f32,
+                roll_rad,
                 ..Mount::default()
             };
             let mut climb = Climb {
@@ -423,7 +444,11 @@ mod tests {
             });
             found.extend(places.map(|place| {
                 let bit = |row: usize| (ground(&climb, row) >> place & 1) as u32;
-                (0..column.len()).fold(0, |word, row| word | bit(row) << row)
+                let word = (0..column.len()).fold(0, |word, row| word | bit(row) << row);
+                match is_head_down {
+                    true => word.reverse_bits() >> (u32::BITS as usize - column.len()),
+                    false => word,
+                }
             }));
             assert!((0..MAX_ROWS).all(|row| ground(&climb, row) & !ranges.read[row] == 0));
         }

@@ -4,15 +4,15 @@ use std::f32::consts::FRAC_PI_2;
 
 use super::joining::{Joining, MAX_GAP_M};
 use super::mask::Mask;
-use super::mount::Mount;
+use super::mount::{Mount, Stance};
 use super::paper::ground::PaperGround;
 use crate::sweep::layout::is_return;
 
 /// How ground is found, and what is joined.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Method {
-    /// By slope, from the sensor's foot on: needs the sensor's height, configured or estimated.
-    /// Until a sweep has shown the height, no ground is labelled.
+    /// By slope, from the ground below the sensor on: needs the sensor's height, configured or
+    /// estimated. Until a sweep has shown the height, no ground is labelled.
     #[default]
     Slope,
     /// As the paper's authors do, by changes of inclination.
@@ -126,6 +126,13 @@ impl Config {
             }
             _ => Ok(()),
         }
+    }
+
+    /// Whether the height of the sensor is to be estimated: the ground is found from it, and it is
+    /// not configured.
+    pub fn estimates_height(&self) -> bool {
+        let needs_height = self.method == Method::Slope && self.mount.stance() != Stance::OnSide;
+        needs_height && self.mount.height_m.is_none()
     }
 
     /// Whether a range may be labelled.

@@ -53,7 +53,7 @@ mod windows;
 pub use config::{Config, ConfigError, Method};
 pub use joining::Joining;
 pub use mask::{Mask, MaskError};
-pub use mount::{HeightEstimator, Mount};
+pub use mount::{HeightEstimator, Mount, Stance};
 pub use order::{MAX_ROWS, STRIP as STRIP_COLUMNS};
 pub use paper::PaperSegmenter;
 pub use paper::angles::Angles;
@@ -78,7 +78,9 @@ pub const SAME_OBJECT_M: f32 = 0.3;
 pub struct Segmenter {
     config: Config,
     level: Level,
-    /// Estimates the height of the sensor where none is configured. `None`: headers say it.
+    /// Whether the height of the sensor is to be estimated.
+    estimates_height: bool,
+    /// Estimates it. `None`: headers say it.
     height: Option<HeightEstimator>,
     strips: Strips,
     /// What lies around the cut, if objects are to be found.
@@ -107,6 +109,7 @@ impl Segmenter {
     pub fn with_level(config: Config, level: Level) -> Result<Self, ConfigError> {
         config.check()?;
         Ok(Self {
+            estimates_height: config.estimates_height(),
             config,
             level,
             height: Some(HeightEstimator::default()),
@@ -173,7 +176,7 @@ impl Segmenter {
                     self.strips.go_on(sweep, None);
                 } else {
                     let height_m = match &mut self.height {
-                        _ if configured_m.is_some() => configured_m,
+                        _ if !self.estimates_height => configured_m,
                         None => Some(sweep.header.height_m).filter(|height_m| *height_m > 0.0),
                         Some(height) => {
                             height.reserve(sweep.columns.len());
@@ -185,7 +188,8 @@ impl Segmenter {
                     };
                     self.strips.begin(sweep, &self.config, height_m, None);
                 }
-                write_height(sweep, self.strips.height_m(), configured_m.is_none());
+                let height_m = configured_m.or(self.strips.height_m());
+                write_height(sweep, height_m, self.estimates_height);
             }
         }
     }
@@ -202,7 +206,7 @@ impl Segmenter {
         let height_m = self.config.mount.height_m.or(estimated_m);
         let sequence = sweep.header.sequence;
         if self.config.method == Method::Paper
-            || height_m.is_none()
+            || self.estimates_height && estimated_m.is_none()
             || ready == 0
             || self.spoilt == Some(sequence)
         {
@@ -255,7 +259,7 @@ impl Segmenter {
         check_rows(sweep);
         let configured_m = self.config.mount.height_m;
         match &mut self.height {
-            Some(height) if configured_m.is_none() && self.config.method == Method::Slope => {
+            Some(height) if self.estimates_height => {
                 height.reserve(sweep.columns.len());
                 let depths_m = self.strips.sound(sweep, &self.config);
                 if height.height_m().is_none() {
@@ -321,14 +325,14 @@ impl Segmenter {
             Method::Slope => {
                 self.strips.label(sweep, &self.config);
                 if let Some(height) = &mut self.height
-                    && self.config.mount.height_m.is_none()
+                    && self.estimates_height
                 {
                     height.observe(self.strips.depths_m());
                 }
             }
         }
         label_other_returns(sweep, &self.config);
-        let has_height = self.config.method == Method::Paper || sweep.header.height_m > 0.0;
+        let has_height = !self.estimates_height || sweep.header.height_m > 0.0;
         if let Some(objects) = &mut self.strips.objects {
             objects.end(&sweep.as_ref(), has_height);
         }

@@ -6,7 +6,7 @@ use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, f32x16, prelude::*, u32
 
 use super::config::Config;
 use super::directions::Directions;
-use super::mount::Mount;
+use super::mount::{Mount, Stance};
 use super::order::{AHEAD, LANES, MAX_ROWS, Order, STRIP};
 use super::ranges::Ranges;
 use super::turn::turn_rad;
@@ -18,6 +18,8 @@ use crate::sweep::{BeamRow, SweepRef};
 pub(super) struct Beams {
     pub order: Order,
     rows: Vec<Beam>,
+    /// The rows from the lowest up: from the last, or head down, from the first.
+    upwards: Vec<usize>,
     directions: Directions,
 }
 
@@ -133,6 +135,11 @@ impl Beams {
                 .iter()
                 .map(|beam| Beam::new(beam, f64::from(rate_rad_s), up)),
         );
+        self.upwards.clear();
+        self.upwards.extend(0..sweep.beams.len());
+        if mount.stance() != Stance::HeadDown {
+            self.upwards.reverse();
+        }
         let margin = sweep
             .beams
             .iter()
@@ -145,6 +152,11 @@ impl Beams {
     /// Rows of the image.
     pub fn rows(&self) -> usize {
         self.rows.len()
+    }
+
+    /// The rows of the image, from the lowest up.
+    pub fn upwards(&self) -> &[usize] {
+        &self.upwards
     }
 
     /// Whether heights depend on where the head looked.

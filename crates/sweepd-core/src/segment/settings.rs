@@ -9,7 +9,6 @@ use super::config::Config;
 pub const THETA_DEG: RangeInclusive<f64> = 0.0..=90.0;
 /// Limits that a range may have, metres: no sensor sees half as far.
 const RANGE_M: RangeInclusive<f64> = 0.0..=1000.0;
-const TILT_DEG: RangeInclusive<f64> = -90.0..=90.0;
 const ANY_COUNT: f64 = u32::MAX as f64;
 
 /// A number that people set.
@@ -114,7 +113,7 @@ pub const SETTINGS: &[Setting] = &[
         option: "pitch",
         doc: "Pitch of the sensor, nose up, degrees",
         unit: Unit::Degrees,
-        range: TILT_DEG,
+        range: -90.0..=90.0,
         absent: "",
         field: |config| Field::Angle(&mut config.mount.pitch_rad),
     },
@@ -122,9 +121,9 @@ pub const SETTINGS: &[Setting] = &[
         key: "roll_deg",
         table: Table::Mount,
         option: "roll",
-        doc: "Roll of the sensor, right side down, degrees",
+        doc: "Roll of the sensor, right side down, degrees; 180 is head down",
         unit: Unit::Degrees,
-        range: TILT_DEG,
+        range: -180.0..=180.0,
         absent: "",
         field: |config| Field::Angle(&mut config.mount.roll_rad),
     },

@@ -19,6 +19,7 @@ use super::components::{Components, Small};
 use super::config::Config;
 use super::joining;
 use super::labels::{Found, Labels};
+use super::mount::Stance;
 use super::near::Limits;
 use super::objects::{Objects, Strip};
 use super::order::{AHEAD, BEFORE, LANES, Order, STRIP, lane_of, reserve};
@@ -97,7 +98,7 @@ impl Strips {
         let columns = sweep.columns.len();
         // The first columns are there twice.
         let pixels = sweep.range.len() + rows * BEFORE;
-        self.climb.height_m = height_m;
+        self.climb.height_m = height_m.filter(|_| config.mount.stance() != Stance::OnSide);
         self.at = 0;
         self.ready = ready;
         reserve(&mut self.depths_m, columns.next_multiple_of(STRIP));
@@ -123,7 +124,8 @@ impl Strips {
         self.beams.order.columns = ready.is_none().then_some(sweep.header.columns as usize);
     }
 
-    /// Height of the sensor over the ground, as this sweep was begun with, metres.
+    /// Height of the sensor over the ground, as this sweep was begun with, metres; `None` where no
+    /// ground is found.
     pub fn height_m(&self) -> Option<f32> {
         self.climb.height_m
     }
@@ -258,7 +260,7 @@ impl Strips {
         for first in (counted..count).step_by(LANES) {
             let mut depths_m = f32x16::splat(simd, f32::INFINITY);
             let mut open = 0xFFFF;
-            for row in (0..self.beams.rows()).rev() {
+            for &row in self.beams.upwards() {
                 let lowest = self.ranges.read[row] >> first & open;
                 if lowest != 0 {
                     let range = self.ranges.load(simd, row, AHEAD + first);
@@ -443,8 +445,14 @@ mod tests {
 
     /// Column by column, from the points one by one.
     fn depths_m(sweep: &SweepRef<'_>, config: &Config) -> Vec<f32> {
+        let is_head_down = config.mount.stance() == Stance::HeadDown;
         let of_column = |column: &[Option<points::Placed>]| {
-            let lowest = column.iter().rev().flatten().next();
+            let mut real = column.iter().flatten();
+            let lowest = if is_head_down {
+                real.next()
+            } else {
+                real.next_back()
+            };
             lowest.map_or(f32::INFINITY, |placed| -placed.height_m)
         };
         points::placed(sweep, config)
@@ -460,7 +468,8 @@ mod tests {
             let (columns, circular) = (rng.usize(1..260), rng.bool());
             let mut buffer = noise(&mut rng, columns, circular);
             let sweep = SweepMut::open(buffer.as_mut()).unwrap();
-            let [pitch_rad, roll_rad] = if rng.bool() { [0.0; 2] } else { [0.1, -0.2] };
+            let tilts_rad = [[0.0; 2], [0.1, -0.2], [-0.1, 3.0]];
+            let [pitch_rad, roll_rad] = tilts_rad[rng.usize(..3)];
             let mount = Mount {
                 height_m: None,
                 pitch_rad,

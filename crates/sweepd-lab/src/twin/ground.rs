@@ -34,8 +34,8 @@ const PLATEAU: i32 = distance_of(1.0);
 const TOP: i32 = distance_of(1.5);
 
 /// Which pixels are ground by the climb of their columns, with the sensor this high over the
-/// ground.
-pub(super) fn climb(image: &Image, height_m: f32) -> Vec<bool> {
+/// ground, upright or head down.
+pub(super) fn climb(image: &Image, is_head_down: bool, height_m: f32) -> Vec<bool> {
     let mut is_ground = vec![false; image.returns.len()];
     for column in 0..image.columns {
         let mut spots = Vec::new();
@@ -48,6 +48,9 @@ pub(super) fn climb(image: &Image, height_m: f32) -> Vec<bool> {
                     height: steps::height(found.height_m + height_m),
                 });
             }
+        }
+        if is_head_down {
+            spots.reverse();
         }
         let mut climb = Climb::new(&mut is_ground);
         for (here, is_face) in spots.iter().zip(faces(&spots)) {

@@ -31,10 +31,11 @@ use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::{LABEL_GROUND, LABEL_NONE, flags};
 
 use self::nearness::Nearness;
-use self::placing::Return;
+use self::placing::{Plumb, Return};
 
 /// The labels of a sweep, pixel by pixel in the order of its planes, with the sensor this high over
-/// the ground, metres. While the height is unknown (`None`), nothing is ground.
+/// the ground, metres. While the height is unknown (`None`), nothing is ground; nor is anything
+/// where the sensor stands neither upright nor head down.
 pub fn segment(sweep: &SweepRef<'_>, config: &Config, height_m: Option<f32>) -> Vec<u32> {
     let image = Image {
         rows: sweep.rows(),
@@ -42,9 +43,13 @@ pub fn segment(sweep: &SweepRef<'_>, config: &Config, height_m: Option<f32>) -> 
         is_turn: sweep.header.has(flags::CIRCULAR),
         returns: placing::place(sweep, config),
     };
+    let plumb = Plumb::new(config);
     let is_ground = match height_m {
-        Some(height_m) => vote::vote(&image, &ground::climb(&image, height_m)),
-        None => vec![false; image.returns.len()],
+        Some(height_m) if plumb.stands() => {
+            let climbed = ground::climb(&image, plumb.is_head_down(), height_m);
+            vote::vote(&image, &climbed)
+        }
+        _ => vec![false; image.returns.len()],
     };
     let nearness = Nearness::new(&image, sweep, config, &is_ground);
     let numbers = components::number(&nearness, sweep, config);

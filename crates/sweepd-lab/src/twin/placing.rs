@@ -2,7 +2,7 @@
 //!
 //! A beam is taken to be straight, and to start on the sensor's axis.
 
-use std::f32::consts::FRAC_2_PI;
+use std::f32::consts::{FRAC_1_SQRT_2, FRAC_2_PI};
 
 use sweepd_core::segment::Config;
 use sweepd_core::sweep::{BeamRow, SweepRef};
@@ -46,7 +46,7 @@ fn counts(sweep: &SweepRef<'_>, config: &Config, row: usize, column: usize, rang
 }
 
 /// The direction up from the ground, of length 1, in the axes of the sensor.
-struct Plumb {
+pub(super) struct Plumb {
     right: f32,
     forward: f32,
     up: f32,
@@ -55,7 +55,7 @@ struct Plumb {
 impl Plumb {
     /// Of a sensor that is rolled about its own y axis, right side down, then pitched about x, nose
     /// up.
-    fn new(config: &Config) -> Self {
+    pub fn new(config: &Config) -> Self {
         let (sin_pitch, cos_pitch) = f64::from(config.mount.pitch_rad).sin_cos();
         let (sin_roll, cos_roll) = f64::from(config.mount.roll_rad).sin_cos();
         Self {
@@ -63,6 +63,16 @@ impl Plumb {
             forward: sin_pitch as f32,
             up: (cos_roll * cos_pitch) as f32,
         }
+    }
+
+    /// Whether the lowest row of the image is the highest over the ground.
+    pub fn is_head_down(&self) -> bool {
+        self.up < 0.0
+    }
+
+    /// Whether the sensor is tilted by 45 degrees at most, upright or head down.
+    pub fn stands(&self) -> bool {
+        self.up.abs() >= FRAC_1_SQRT_2
     }
 
     fn is_tilted(&self) -> bool {

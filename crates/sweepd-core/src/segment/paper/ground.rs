@@ -2,7 +2,7 @@
 //! from below (their journal paper, PFG 2017, "Efficient Online Segmentation for Sparse 3D Laser
 //! Scans").
 //!
-//! It needs neither the sensor's height nor its tilt. All numbers are f32, in the order of the
+//! It needs not the sensor's height, and of its tilt only which side is up. All numbers are f32, in the order of the
 //! authors' own program, so that its golden images come out.
 
 use std::f32::consts::{FRAC_PI_2, FRAC_PI_4};
@@ -117,6 +117,12 @@ impl Inclinations {
         }
         self.line_rad.clear();
         self.line_rad.resize(beams.len() + 2 * MARGIN, 0.0);
+    }
+
+    /// Columns come from the last row to the first.
+    pub fn turn_over(&mut self) {
+        self.sin.reverse();
+        self.cos.reverse();
     }
 
     /// Adds a column with these ranges, metres.

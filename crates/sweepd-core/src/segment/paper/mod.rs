@@ -19,6 +19,7 @@ mod table;
 use fearless_simd::Level;
 
 use super::config::Config;
+use super::mount::Stance;
 use super::order::reserve;
 use crate::sweep::SweepMut;
 use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, is_return};
@@ -41,6 +42,7 @@ pub struct PaperSegmenter {
     counts: Vec<bool>,
     /// Pixels that the last search came to, in the order of finding.
     found: Vec<u32>,
+    stance: Stance,
     is_ground_found: bool,
     segments: usize,
     max_segments: usize,
@@ -51,11 +53,15 @@ impl PaperSegmenter {
     /// Takes what may be labelled in a sweep, and the angles between neighbours.
     pub fn begin(&mut self, sweep: &SweepMut<'_>, config: &Config) {
         self.reserve(sweep);
+        self.stance = config.mount.stance();
         self.is_ground_found = false;
         self.max_segments = sweep.segments.len();
         let sweep = sweep.as_ref();
         self.angles.measure(&sweep);
         self.inclinations.begin(sweep.beams);
+        if self.stance == Stance::HeadDown {
+            self.inclinations.turn_over();
+        }
         self.labels.resize(sweep.range.len(), LABEL_NONE);
         self.range_m.extend_from_slice(sweep.range);
         for (pixel, range_m) in self.range_m.iter_mut().enumerate() {
@@ -92,15 +98,26 @@ impl PaperSegmenter {
             return false;
         }
         self.incline(&config.paper);
-        self.label_ground(&config.paper);
+        if self.stance != Stance::OnSide {
+            self.label_ground(&config.paper);
+        }
         true
     }
 
-    /// Fills the holes, and takes the inclinations.
+    /// Fills the holes, and takes the inclinations: from the highest pixel of each column down.
     pub fn incline(&mut self, limits: &PaperGround) {
+        let is_head_down = self.stance == Stance::HeadDown;
         for column in self.range_m.chunks_exact_mut(self.angles.rows().max(1)) {
+            if is_head_down {
+                column.reverse();
+            }
+            let from = self.inclinations.plane_rad.len();
             ground::repair(column, limits);
             self.inclinations.add(column, limits.window);
+            if is_head_down {
+                column.reverse();
+                self.inclinations.plane_rad[from..].reverse();
+            }
         }
     }
 
@@ -110,7 +127,11 @@ impl PaperSegmenter {
         let rows = self.angles.rows();
         for first in (0..self.range_m.len()).step_by(rows.max(1)) {
             let column = &self.range_m[first..first + rows];
-            let lowest = column.iter().rposition(|&range_m| is_return(range_m));
+            let is_real = |range_m: &f32| is_return(*range_m);
+            let lowest = match self.stance {
+                Stance::HeadDown => column.iter().position(is_real),
+                _ => column.iter().rposition(is_real),
+            };
             let start = first + lowest.unwrap_or(0);
             if self.is_free(start) && self.inclinations.plane_rad[start] <= limits.start_angle_rad {
                 self.spread(start, LABEL_GROUND, |paper, _, here, there| {
@@ -221,7 +242,12 @@ impl PaperSegmenter {
 
 #[cfg(test)]
 mod tests {
+    use std::f32::consts::{FRAC_PI_2, PI};
+
     use super::*;
+    use crate::buffers::{Buffers, HeapBuffers};
+    use crate::sensor::Beam;
+    use crate::sweep::Shape;
 
     /// Labels of the first columns of an image whose neighbours are a degree apart, the rest of it
     /// being empty, at theta 10 degrees: 10 m and 10.1 m belong together, 10 m and 12 m do not. A
@@ -302,6 +328,62 @@ mod tests {
             label(5, &[10.0, 0.0, 10.0, 0.0, 10.0], 1, 2),
             [2, 0, 3, 0, 0]
         );
+    }
+
+    /// An image turned over, of a sensor head down, has the same ground; of one on its side, none.
+    #[test]
+    fn head_down_the_ground_begins_at_the_first_row() {
+        const ROWS: usize = 24;
+        let mut rng = fastrand::Rng::with_seed(1);
+        let mut range_m = Vec::new();
+        for _ in 0..50 * ROWS {
+            let row = range_m.len() % ROWS;
+            // A floor 1.8 m below the lower rows, with steps and holes.
+            let away_m = 1.8 / (0.02 * (row as f32 + 1.0)).sin();
+            range_m.push([away_m, 0.98 * away_m, 0.0, 9.0][[0, 0, 0, 1, 2, 3][rng.usize(..6)]]);
+        }
+        let ground = |roll_rad: f32, is_turned: bool| {
+            let shape = Shape {
+                rows: ROWS,
+                columns_capacity: 50,
+                dual: false,
+                segments_capacity: 9,
+            };
+            let mut buffer = HeapBuffers::default().take(shape.total_bytes());
+            let sweep = SweepMut::create(buffer.as_mut(), &shape).unwrap();
+            sweep.header.columns = 50;
+            for (row, beam) in sweep.beams.iter_mut().enumerate() {
+                let down = if is_turned { ROWS - 1 - row } else { row };
+                let elevation_rad = -0.02 * (down as f64 + 1.0);
+                let side = if is_turned { -1.0 } else { 1.0 };
+                *beam = Beam::ideal(row, side * elevation_rad).row(0);
+            }
+            sweep.range.copy_from_slice(&range_m);
+            if is_turned {
+                sweep
+                    .range
+                    .chunks_exact_mut(ROWS)
+                    .for_each(<[f32]>::reverse);
+            }
+            let mut config = Config::default();
+            config.mount.roll_rad = roll_rad;
+            let mut paper = PaperSegmenter::default();
+            paper.begin(&sweep, &config);
+            paper.find_ground(&config);
+            if is_turned {
+                paper
+                    .labels
+                    .chunks_exact_mut(ROWS)
+                    .for_each(<[u32]>::reverse);
+            }
+            paper.labels
+        };
+        let upright = ground(0.0, false);
+        let is_ground = upright.iter().filter(|&&label| label == LABEL_GROUND);
+        assert!((200..1100).contains(&is_ground.count()));
+        assert_eq!(ground(PI, true), upright);
+        assert_ne!(ground(0.0, true), upright);
+        assert_eq!(ground(FRAC_PI_2, false), [LABEL_NONE; 50 * ROWS]);
     }
 
     /// Three columns of four rows: the ground starts at the foot of the first, goes up, over the
