@@ -312,9 +312,12 @@ impl SegmentOptions {
         for removed in &self.numbers.removed {
             complain("warning", removed.warning(&format!("--{}", removed.option)));
         }
-        match config.check() {
-            Ok(()) => Ok(config),
-            Err(error) => Err(CliError::Usage(error.to_string())),
+        if let Err(error) = config.check() {
+            return Err(CliError::Usage(error.to_string()));
         }
+        if let Some(warning) = config.mount.warning() {
+            complain("warning", warning);
+        }
+        Ok(config)
     }
 }

@@ -25,6 +25,19 @@ rotate_mb = 500
 "#;
 
 #[test]
+fn check_warns_of_a_sensor_on_its_side() {
+    let folder = Folder::new("config-side");
+    let file = folder.write(
+        "robot.toml",
+        &TWO.replace("pitch_deg = -3", "roll_deg = -90"),
+    );
+    let told = sweepd(&["config", "check", file.to_str().unwrap()]);
+    assert_eq!(told.code, 0, "{}", told.stderr);
+    let warning = "warning: rear: roll -90.0 and pitch 0.0 degrees tilt the sensor by more than 45";
+    assert!(told.stderr.starts_with(warning), "{}", told.stderr);
+}
+
+#[test]
 fn check_says_what_will_run_and_what_memory_it_takes() {
     let folder = Folder::new("config-check");
     let file = folder.write("robot.toml", TWO);

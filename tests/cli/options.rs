@@ -144,6 +144,22 @@ fn the_examples_of_record_are_understood() {
     }
 }
 
+/// Head down is a mount like any other; on its side the sensor finds no ground, and says so once.
+#[test]
+fn a_sensor_on_its_side_is_warned_of() {
+    let capture = fixture("street_vlp16_losses.pcap");
+    for roll in ["180", "-180"] {
+        replay(&capture, &["--roll", roll]).done();
+    }
+    let ran = replay(&capture, &["--roll", "90", "--height", "1.8"]);
+    assert_eq!(ran.code, 0, "{}", ran.stderr);
+    let [warning] = ran.stderr.lines().collect::<Vec<_>>()[..] else {
+        panic!("{}", ran.stderr)
+    };
+    let what = "warning: roll 90.0 and pitch 0.0 degrees tilt the sensor by more than 45 degrees";
+    assert!(warning.starts_with(what), "{warning}");
+}
+
 /// Scripts of earlier versions go on.
 #[test]
 fn options_that_are_gone_are_accepted_with_a_warning() {
@@ -175,7 +191,7 @@ fn absurd_numbers_are_refused_with_what_was_expected() {
         ("--height=-1", "0.01 to 200 metres"),
         ("--height=1e30", "0.01 to 200 metres"),
         ("--pitch=100", "-90 to 90 degrees"),
-        ("--roll=-181", "-90 to 90 degrees"),
+        ("--roll=-181", "-180 to 180 degrees"),
         ("--cut-azimuth=1e300", "-360 to 360 degrees"),
         ("--min-range=-1", "0 to 1000 metres"),
         ("--max-range=inf", "0 to 1000 metres"),

@@ -8,6 +8,7 @@ use crate::cli::output::{StageUs, rounded, time_source_name};
 use crate::input::Capture;
 use crate::text::{count_of, grouped, row};
 use sweepd_core::pipeline::Counts;
+use sweepd_core::segment::{Mount, Stance};
 use sweepd_core::sensor::detect::Detection;
 use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::{TimeSource, flags, is_return};
@@ -23,6 +24,8 @@ pub struct Sums {
     rows: usize,
     /// Metres, and whether it was estimated.
     height: Option<(f32, bool)>,
+    /// Whether it is tilted so far that it has no ground.
+    on_side: bool,
     reversed: bool,
     modes: Vec<&'static str>,
     sources: Vec<&'static str>,
@@ -65,6 +68,12 @@ impl Sums {
         }
         self.rows = sweep.rows();
         self.reversed |= header.has(flags::REVERSED);
+        let mount = Mount {
+            height_m: None,
+            pitch_rad: header.pitch_rad,
+            roll_rad: header.roll_rad,
+        };
+        self.on_side = mount.stance() == Stance::OnSide;
         if header.height_m > 0.0 {
             self.height = Some((header.height_m, header.has(flags::HEIGHT_ESTIMATED)));
         }
@@ -341,6 +350,7 @@ impl<'a> SensorReport<'a> {
                 format!("; sensor {height:.2} m above it (estimated; --height if you know it)")
             }
             Some((height, false)) => format!("; sensor {height:.2} m above it"),
+            None if self.sums.on_side => "; on its side, the sensor has none".to_owned(),
             None if means.ground == 0 && means.segmented > 0 => {
                 "; the height of the sensor was not found, so none is labelled: give --height"
                     .to_owned()

@@ -21,6 +21,8 @@ pub(super) struct Check<'a> {
     /// What relative paths are relative to.
     folder: &'a Path,
     problems: Vec<Problem>,
+    /// What is accepted, and hardly meant.
+    warnings: Vec<String>,
 }
 
 /// The configuration that is written in a file, or all that is wrong with it.
@@ -28,6 +30,7 @@ pub(super) fn check(file: File<'_>, found: FileProblems<'_>) -> Result<Config, V
     let mut check = Check {
         folder: found.folder,
         problems: Vec::new(),
+        warnings: found.warnings,
     };
     check.http(&file.daemon);
     let sensors = check.sensors(file.sensors);
@@ -43,7 +46,7 @@ pub(super) fn check(file: File<'_>, found: FileProblems<'_>) -> Result<Config, V
             daemon: file.daemon.config,
             sensors,
             record,
-            warnings: found.warnings,
+            warnings: check.warnings,
         })
     } else {
         Err(check.problems)

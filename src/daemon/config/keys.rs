@@ -191,8 +191,8 @@ table! {
 
 table! {
     ///
-    /// How it sits on the robot: from the robot's origin, x right, y forward, z up; roll right side down, pitch nose up, yaw
-    /// counter-clockwise from above; height above the ground, by default estimated.
+    /// How it sits on the robot: from the robot's origin, x right, y forward, z up; roll right side down (180 is head
+    /// down), pitch nose up, yaw counter-clockwise from above; height above the ground, by default estimated.
     MOUNT: SensorConfig, "mount" "[sensor.mount]"
 
     x_m = 0, Number(POSITION_M, "metres", metres) [pipeline.position_m[0]], Reload<"x_m, y_m, z_m" [pipeline.position_m]> position;

@@ -111,9 +111,10 @@ impl Check<'_> {
     }
 
     fn segment(&mut self, sensor: &Sensor<'_>) {
-        let config = &sensor.config.pipeline.segment;
+        let SensorConfig { name, pipeline, .. } = &sensor.config;
+        let config = &pipeline.segment;
         let limits = [config.min_range_m, config.max_range_m];
-        if sensor.config.pipeline.removal.out_of_range
+        if pipeline.removal.out_of_range
             && let Some(given) = sensor.given("segment", "remove_out_of_range")
             && limits == [0.0, f32::INFINITY]
         {
@@ -125,6 +126,9 @@ impl Check<'_> {
             );
         }
         let Err(error) = config.check() else {
+            let warning = config.mount.warning();
+            self.warnings
+                .extend(warning.map(|warning| format!("{name}: {warning}")));
             return;
         };
         let (table, key) = match error {
