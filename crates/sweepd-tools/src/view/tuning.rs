@@ -124,16 +124,24 @@ pub(super) fn lines(config: &Config) -> String {
     text
 }
 
+/// A segmenter, and what it was made for.
+struct Tuned {
+    config: Config,
+    /// Whether it takes the height of the sensor from headers.
+    has_headers: bool,
+    segmenter: TimedSegmenter,
+}
+
 /// Segments copies of sweeps.
 #[derive(Default)]
 pub(super) struct Tuner {
     buffers: HeapBuffers,
-    segmenter: Option<(Config, TimedSegmenter)>,
+    segmenter: Option<Tuned>,
 }
 
 impl Tuner {
     /// A copy of a sweep, segmented like this. The height is that of the configuration, else that in
-    /// the sweep's header.
+    /// the sweep's header; where this tilts the sensor in another way, it is estimated.
     ///
     /// # Errors
     /// Why it cannot be, for people.
@@ -150,7 +158,11 @@ impl Tuner {
                 sweep.header.rows
             ));
         }
-        self.segmenter(config)?.segment(&mut sweep);
+        // Degrees of a page are rounded.
+        let is_same = |one_rad: f32, other_rad: f32| (one_rad - other_rad).abs() < 1e-4;
+        let has_headers = is_same(config.mount.pitch_rad, sweep.header.pitch_rad)
+            && is_same(config.mount.roll_rad, sweep.header.roll_rad);
+        self.segmenter(config, has_headers)?.segment(&mut sweep);
         // Of the table, only what is filled is sent.
         let mut shape = sweep.header.shape();
         shape.segments_capacity = sweep.header.segments as usize;
@@ -160,19 +172,29 @@ impl Tuner {
         sweep_bytes(buffer).ok_or_else(|| "the sweep cannot be read".to_owned())
     }
 
-    fn segmenter(&mut self, config: &Config) -> Result<&mut TimedSegmenter, String> {
-        let kept = self.segmenter.take().filter(|(of, _)| of == config);
-        let (_, segmenter) = match kept {
-            Some(kept) => self.segmenter.insert(kept),
+    fn segmenter(
+        &mut self,
+        config: &Config,
+        has_headers: bool,
+    ) -> Result<&mut TimedSegmenter, String> {
+        let kept = self.segmenter.take();
+        let kept = kept.filter(|kept| kept.config == *config && kept.has_headers == has_headers);
+        let tuned = match kept {
+            Some(kept) => kept,
             None => {
-                let segmenter =
+                let mut segmenter =
                     Segmenter::new(config.clone()).map_err(|error| error.to_string())?;
-                let segmenter =
-                    TimedSegmenter::new(segmenter.with_heights_in_headers(), monotonic_ns);
-                self.segmenter.insert((config.clone(), segmenter))
+                if has_headers {
+                    segmenter = segmenter.with_heights_in_headers();
+                }
+                Tuned {
+                    config: config.clone(),
+                    has_headers,
+                    segmenter: TimedSegmenter::new(segmenter, monotonic_ns),
+                }
             }
         };
-        Ok(segmenter)
+        Ok(&mut self.segmenter.insert(tuned).segmenter)
     }
 
     /// A copy with room for all segments that there can be of this many points.

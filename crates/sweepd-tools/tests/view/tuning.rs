@@ -65,6 +65,25 @@ fn a_tuned_sweep_is_that_of_a_sensor_configured_so() {
     assert!(page.sweep_within(Duration::from_millis(500)).is_none());
 }
 
+/// What was estimated of an upright sensor says nothing of one that hangs head down.
+#[test]
+fn a_height_is_estimated_anew_where_the_sensor_is_turned_over() {
+    let path = fixture("street_vlp16.pcap.gz");
+    let mut config = Config::default();
+    config.segment.mount.roll_rad = std::f32::consts::PI;
+    let expected = sweeps(&path, &config);
+    let expected = SweepRef::open(expected[0].as_ref()).unwrap();
+    let view = View::start(&[&path]);
+    let mut page = view.page();
+    page.pause();
+    let untuned = page.seek(0);
+    let tuned = tune(&mut page, json!({ "roll_deg": 180 }));
+    assert!(tuned.sweep().label == expected.label);
+    let [before_m, after_m] = [&untuned, &tuned].map(|shown| shown.sweep().header.height_m);
+    assert_eq!(after_m, expected.header.height_m);
+    assert_ne!(after_m, before_m);
+}
+
 #[test]
 fn of_many_changes_the_newest_is_shown_at_last() {
     let (_, file) = calibrated();
