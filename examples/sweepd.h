@@ -241,7 +241,8 @@ typedef struct sweepd_objects_header {
     float yaw_rad;
     float pitch_rad;
     float roll_rad;
-    uint8_t reserved_104[24];
+    float height_m;
+    uint8_t reserved_108[20];
     char name[64];
 } sweepd_objects_header;
 

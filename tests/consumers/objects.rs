@@ -255,6 +255,7 @@ pub fn honest() -> Vec<u64> {
         time_ns: now_ns,
         time_source: TimeSource::Host as u32,
         flags: flags::LAST,
+        height_m: 1.5,
         first_ordinal: 0,
         objects: &[0, 1, 2].map(object),
         labels: &[2, 0, 3, 4],

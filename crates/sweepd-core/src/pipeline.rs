@@ -332,7 +332,8 @@ impl Pipeline {
         {
             self.segmenter.segment_early(&mut sweep, ready);
             if self.segmenter.objects().is_some() {
-                self.objects_of = ObjectsOf::open(sweep.header, decoding.begun_ns());
+                let height_m = self.segmenter.height_m();
+                self.objects_of = ObjectsOf::open(sweep.header, decoding.begun_ns(), height_m);
             }
         }
     }

@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 
 use sweepd_client::host::realtime_ns;
 use sweepd_messages::transforms::{self, Transform};
-use sweepd_sweep::Header;
+use sweepd_sweep::{Header, Pose};
 
 use crate::log;
 use sweepd_ros2::Publisher;
@@ -31,7 +31,8 @@ impl Transforms {
 
     /// Takes the mount in a sweep's header; publishes all when it is new or another one.
     pub fn see(&self, sensor: &str, frame_id: &str, header: &Header) {
-        if !is_mounted(header) {
+        // Else the daemon's configuration does not say where the sensor sits.
+        if !Pose::of_mount(header).is_given() {
             return;
         }
         let mount = Transform::of_mount(header, &self.base, frame_id);
@@ -54,11 +55,4 @@ impl Transforms {
         transforms::encode(realtime_ns(), &all, &mut message);
         self.publisher.publish(message);
     }
-}
-
-/// Whether the daemon's configuration says where the sensor sits.
-fn is_mounted(header: &Header) -> bool {
-    let angles = [header.yaw_rad, header.pitch_rad, header.roll_rad];
-    let values = header.position_m.iter().chain(&angles);
-    values.clone().all(|value| value.is_finite()) && values.clone().any(|value| *value != 0.0)
 }

@@ -7,7 +7,7 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 use super::corrected::Corrected;
 use super::layout::*;
-use super::pose::Pose;
+use super::pose::{Frame, Pose};
 use super::sensor::{Model, Places, RECORDS, ReturnMode};
 
 /// A sweep to read: a view over its bytes, trimmed to the columns and segments that are there.
@@ -370,7 +370,26 @@ impl<'a> SweepRef<'a> {
         })
     }
 
-    /// The same with the points in another frame: `pose_at` gives the pose of the sensor in it at
+    /// The same with the points in a frame, by the mount in the header.
+    pub fn points(&self, frame: Frame) -> impl Iterator<Item = Return> + '_ {
+        let pose = frame.pose(Pose::of_mount(self.header));
+        self.returns().map(move |mut one| {
+            if let Some(pose) = &pose {
+                one.point_m = pose.apply(one.point_m);
+            }
+            one
+        })
+    }
+
+    /// The box of each segment in a frame, by the mount in the header: least and greatest x, y and
+    /// z, metres. In another frame than the sensor's it is the box around the box.
+    pub fn boxes(&self, frame: Frame) -> impl Iterator<Item = [[f64; 3]; 2]> + '_ {
+        let pose = frame.pose(Pose::of_mount(self.header));
+        let segments = self.segments.iter();
+        segments.map(move |segment| segment.box_in(pose.as_ref()))
+    }
+
+    /// The same with the points in any frame: `pose_at` gives the pose of the sensor in it at
     /// the time of the return's own shot, nanoseconds since 1970 in the clock of
     /// [`Header::time_source`]. With the poses of a moving sensor, this deskews the sweep.
     ///
@@ -379,7 +398,6 @@ impl<'a> SweepRef<'a> {
     /// # fn odometry(time_ns: i64) -> Pose { Pose::IDENTITY }
     /// # fn show(sweep: SweepRef<'_>) {
     /// let mount = Pose::of_mount(sweep.header);
-    /// let on_robot = sweep.points_in(|_| mount);
     /// let in_world = sweep.points_in(|time_ns| odometry(time_ns) * mount);
     /// # }
     /// ```

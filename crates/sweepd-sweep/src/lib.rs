@@ -19,5 +19,5 @@ pub mod sensor;
 
 pub use image::{Return, SweepMut, SweepRef};
 pub use layout::{BeamRow, Column, Header, Segment, Shape};
-pub use pose::Pose;
+pub use pose::{Frame, Pose};
 pub use sensor::{Model, ReturnMode};

@@ -5,8 +5,8 @@
 
 use zerocopy::{FromBytes, FromZeros, Immutable, IntoBytes, KnownLayout};
 
-use super::Pose;
 use super::layout::{LayoutError, Segment, padded, text};
+use super::pose::{Frame, Pose};
 
 /// Version of a message of objects.
 pub const OBJECTS_VERSION: u32 = 1;
@@ -88,6 +88,8 @@ pub struct NewObjects<'a> {
     pub time_source: u32,
     /// Bits of [`flags`].
     pub flags: u32,
+    /// Height of the sensor above the ground, metres; 0 = unknown.
+    pub height_m: f32,
     /// Objects of the sweep that became known before.
     pub first_ordinal: usize,
     /// What became known.
@@ -138,8 +140,10 @@ pub struct ObjectsHeader {
     pub pitch_rad: f32,
     /// Right side down, radians.
     pub roll_rad: f32,
+    /// Height of the sensor above the ground, metres; 0 = unknown, or of an earlier daemon.
+    pub height_m: f32,
     /// 0.
-    pub reserved: [u8; 24],
+    pub reserved: [u8; 20],
     /// Name of the sensor, UTF-8, zero padded.
     pub name: [u8; 64],
 }
@@ -193,6 +197,7 @@ pub fn write(new: &NewObjects<'_>, sending: &Sending<'_>, mut send: impl FnMut(&
         yaw_rad,
         pitch_rad,
         roll_rad,
+        height_m: new.height_m,
         first_ordinal: new.first_ordinal as u32,
         name: padded(sending.name),
         ..ObjectsHeader::new_zeroed()
@@ -266,6 +271,13 @@ impl<'a> ObjectsRef<'a> {
         })
     }
 
+    /// The box of each object in a frame: see [`SweepRef::boxes`](super::SweepRef::boxes).
+    pub fn boxes(&self, frame: Frame) -> impl Iterator<Item = [[f64; 3]; 2]> {
+        let pose = frame.pose(self.header.mount());
+        let objects = self.objects.iter();
+        objects.map(move |object| object.segment.box_in(pose.as_ref()))
+    }
+
     /// What became known, without who sent it.
     pub fn new_objects(&self) -> NewObjects<'a> {
         NewObjects {
@@ -273,6 +285,7 @@ impl<'a> ObjectsRef<'a> {
             time_ns: self.header.time_ns,
             time_source: self.header.time_source,
             flags: self.header.flags,
+            height_m: self.header.height_m,
             first_ordinal: self.header.first_ordinal as usize,
             objects: self.objects,
             labels: self.labels,
@@ -321,6 +334,7 @@ mod tests {
                 time_ns: 4,
                 time_source: 1,
                 flags: flags::LAST | flags::PARTIAL,
+                height_m: 1.5,
                 first_ordinal: 10,
                 objects: &all,
                 labels: &all_labels,
@@ -343,6 +357,7 @@ mod tests {
                 let view = ObjectsRef::with_header(&header, message).unwrap();
                 assert_eq!(header.first_ordinal as usize, 10 + found.len());
                 assert_eq!(header.first_label as usize, found_labels.len());
+                assert_eq!(header.height_m, 1.5);
                 assert_eq!(header.name(), "roof");
                 found.extend_from_slice(view.objects);
                 found_labels.extend_from_slice(view.labels);

@@ -2,7 +2,60 @@
 
 use std::ops::Mul;
 
-use super::layout::Header;
+use super::layout::{Header, Segment};
+
+/// A frame in which points and boxes are given; `docs/frames.md` says where.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Frame {
+    /// That of the sensor: its origin; x right, y forward, z up.
+    #[default]
+    Sensor,
+    /// That of the robot, by the mount: its origin; x right, y forward, z up.
+    Robot,
+    /// That of the robot with the axes of ROS: x forward, y left, z up (REP 103).
+    Ros,
+}
+
+impl Frame {
+    /// All frames.
+    pub const ALL: [Self; 3] = [Self::Sensor, Self::Robot, Self::Ros];
+
+    /// Its name in every language and on the command line.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Sensor => "sensor",
+            Self::Robot => "robot",
+            Self::Ros => "ros",
+        }
+    }
+
+    /// The pose in the frame of a sensor that is mounted like this; `None` for its own, in which
+    /// nothing moves.
+    pub fn pose(self, mount: Pose) -> Option<Pose> {
+        match self {
+            Self::Sensor => None,
+            Self::Robot => Some(mount),
+            Self::Ros => Some(Pose::ROS * mount),
+        }
+    }
+}
+
+impl Segment {
+    /// Its box in the frame of which this is the [pose](Frame::pose): least and greatest x, y and z,
+    /// metres. In another frame than the sensor's it is the box around the box.
+    pub fn box_in(&self, pose: Option<&Pose>) -> [[f64; 3]; 2] {
+        match pose {
+            Some(pose) => pose.bounds(self.min_m, self.max_m),
+            None => [self.min_m, self.max_m].map(|end| end.map(f64::from)),
+        }
+    }
+
+    /// The mean of its points in that frame, metres.
+    pub fn centroid_in(&self, pose: Option<&Pose>) -> [f64; 3] {
+        let centroid_m = self.centroid_m.map(f64::from);
+        pose.map_or(centroid_m, |pose| pose.apply(centroid_m))
+    }
+}
 
 /// The pose of a frame in another: it brings the points of the first into the second.
 ///
@@ -77,6 +130,12 @@ impl Pose {
             ],
             position_m: position_m.map(f64::from),
         }
+    }
+
+    /// Whether a mount was given: its values are numbers, and not all 0.
+    pub fn is_given(&self) -> bool {
+        let mut values = self.rotation.as_flattened().iter().chain(&self.position_m);
+        *self != Self::IDENTITY && values.all(|value| value.is_finite())
     }
 
     /// A point of the frame, metres, in the other.

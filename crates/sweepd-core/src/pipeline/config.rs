@@ -3,6 +3,7 @@
 use crate::assemble::Removal;
 use crate::segment;
 use crate::sensor::{Calibration, Model};
+use crate::sweep::Pose;
 use crate::sweep::layout::ReturnChoice;
 
 /// How a sensor's packets are to be read and its sweeps cut and segmented.
@@ -56,5 +57,12 @@ impl Config {
         let mut config = self.segment.clone();
         config.mask = config.mask.filter(|_| !self.removal.masked);
         config
+    }
+
+    /// The sensor in the frame of the robot.
+    pub fn mount(&self) -> Pose {
+        let tilt = &self.segment.mount;
+        let angles_rad = [self.yaw_rad, tilt.pitch_rad, tilt.roll_rad];
+        Pose::mounted(self.position_m, angles_rad)
     }
 }

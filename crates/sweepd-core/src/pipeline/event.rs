@@ -39,19 +39,21 @@ pub(super) struct ObjectsOf {
     time_ns: i64,
     time_source: u32,
     flags: u32,
+    height_m: f32,
     /// Whether the sweep is complete, and its last objects were not taken yet.
     pub is_complete: bool,
 }
 
 impl ObjectsOf {
-    /// The sweep is open.
-    pub fn open(header: &Header, begun: Option<(i64, TimeSource)>) -> Self {
+    /// The sweep is open; the sensor is this high, metres.
+    pub fn open(header: &Header, begun: Option<(i64, TimeSource)>, height_m: Option<f32>) -> Self {
         let (time_ns, time_source) = begun.unwrap_or((0, TimeSource::Host));
         Self {
             sequence: header.sequence,
             time_ns,
             time_source: time_source as u32,
             flags: 0,
+            height_m: height_m.unwrap_or(0.0),
             is_complete: false,
         }
     }
@@ -70,6 +72,7 @@ impl ObjectsOf {
             time_ns: header.time_ns,
             time_source: header.time_source,
             flags: bits,
+            height_m: header.height_m,
             is_complete: true,
         }
     }
@@ -83,6 +86,7 @@ impl ObjectsOf {
             time_ns: self.time_ns,
             time_source: self.time_source,
             flags: self.flags,
+            height_m: self.height_m,
             first_ordinal,
             objects,
             labels: labels.filter(|_| is_complete).unwrap_or_default(),

@@ -51,6 +51,11 @@ impl TimedSegmenter {
         self.segmenter.objects()
     }
 
+    /// How high the sensor is for the ground of the open sweep, metres.
+    pub(super) fn height_m(&self) -> Option<f32> {
+        self.segmenter.height_m()
+    }
+
     /// The next sensor may sit elsewhere.
     pub(super) fn forget_height(&mut self) {
         self.segmenter.forget_height();

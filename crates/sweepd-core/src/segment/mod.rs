@@ -290,6 +290,11 @@ impl Segmenter {
         }
     }
 
+    /// How high the sensor is for the ground of the sweep that was begun, metres.
+    pub fn height_m(&self) -> Option<f32> {
+        self.strips.height_m()
+    }
+
     /// Finds objects from the next sweep on, or no more (`None`).
     pub fn find_objects(&mut self, objects: Option<Objects>) {
         self.seam = objects
