@@ -7,6 +7,7 @@ use serde::Serialize;
 use super::CliError;
 use super::output::rounded;
 use sweepd_core::sweep::objects::{NewObjects, Object, flags, why};
+use sweepd_core::sweep::{Frame, Pose};
 
 /// An object, when it became known.
 #[derive(Debug, Serialize)]
@@ -41,27 +42,39 @@ struct LastLine<'a> {
 }
 
 /// Prints objects on standard output.
-pub struct ObjectLines(BufWriter<Stdout>);
-
-impl Default for ObjectLines {
-    fn default() -> Self {
-        Self(BufWriter::new(io::stdout()))
-    }
+pub struct ObjectLines {
+    out: BufWriter<Stdout>,
+    frame: Frame,
 }
 
 impl ObjectLines {
-    /// Prints what became known of the objects of a sensor at a time, nanoseconds since 1970.
+    /// Prints lengths in this frame.
+    pub fn new(frame: Frame) -> Self {
+        let out = BufWriter::new(io::stdout());
+        Self { out, frame }
+    }
+
+    /// Prints what became known of the objects of a sensor, which is mounted like this, at a time,
+    /// nanoseconds since 1970.
     ///
     /// # Errors
     /// [`CliError::Stdout`].
     pub fn print(
         &mut self,
         sensor: &str,
+        mount: Pose,
         new: &NewObjects<'_>,
         known_ns: i64,
     ) -> Result<(), CliError> {
+        let pose = self.frame.pose(mount);
         for object in new.objects {
-            self.line(&ObjectLine::new(sensor, new, object, known_ns))?;
+            self.line(&ObjectLine::new(
+                sensor,
+                new,
+                object,
+                pose.as_ref(),
+                known_ns,
+            ))?;
         }
         if new.flags & flags::LAST != 0 {
             self.line(&LastLine {
@@ -74,19 +87,27 @@ impl ObjectLines {
                 labels: new.labels,
             })?;
         }
-        self.0.flush().map_err(CliError::Stdout)
+        self.out.flush().map_err(CliError::Stdout)
     }
 
     fn line(&mut self, line: &impl Serialize) -> Result<(), CliError> {
-        serde_json::to_writer(&mut self.0, line).map_err(|error| CliError::Stdout(error.into()))?;
-        self.0.write_all(b"\n").map_err(CliError::Stdout)
+        serde_json::to_writer(&mut self.out, line)
+            .map_err(|error| CliError::Stdout(error.into()))?;
+        self.out.write_all(b"\n").map_err(CliError::Stdout)
     }
 }
 
 impl<'a> ObjectLine<'a> {
-    fn new(sensor: &'a str, new: &NewObjects<'_>, object: &Object, known_ns: i64) -> Self {
+    fn new(
+        sensor: &'a str,
+        new: &NewObjects<'_>,
+        object: &Object,
+        pose: Option<&Pose>,
+        known_ns: i64,
+    ) -> Self {
         let segment = &object.segment;
-        let metres = |lengths: [f32; 3]| lengths.map(|length| rounded(length.into(), 1e4));
+        let metres = |lengths: [f64; 3]| lengths.map(|length| rounded(length, 1e4));
+        let [min_m, max_m] = segment.box_in(pose).map(metres);
         let degrees = |rad: f32| rounded(f64::from(rad).to_degrees(), 1e4);
         let time_ns = |after_ns: i32| new.time_ns.saturating_add(after_ns.into());
         Self {
@@ -101,9 +122,9 @@ impl<'a> ObjectLine<'a> {
                 _ => "seam",
             },
             points: segment.points,
-            centroid_m: metres(segment.centroid_m),
-            min_m: metres(segment.min_m),
-            max_m: metres(segment.max_m),
+            centroid_m: metres(segment.centroid_in(pose)),
+            min_m,
+            max_m,
             nearest_m: rounded(segment.nearest_m.into(), 1e4),
             rows: [segment.row_first, segment.row_last],
             columns: [segment.column_first, segment.column_last],

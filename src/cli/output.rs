@@ -4,18 +4,19 @@
 use std::io::{self, BufWriter, Stdout, Write};
 use std::path::PathBuf;
 
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use serde::Serialize;
 
 use super::CliError;
 use super::stream::{Stream, is_stdout};
 use super::tables::SegmentTables;
 use crate::export::mcap::{McapOutput, SweepMessages};
-use crate::export::{Axes, Existing, Exporter, Format, Title, is_sweep_file, trimmed};
+use crate::export::{Existing, Exporter, Format, Title, is_sweep_file, trimmed};
 use crate::files::output::{Former, sensor_folder};
 use sweepd_core::buffers::HeapBuffer;
 use sweepd_core::sensor::Model;
-use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::{TimeSource, flags};
+use sweepd_core::sweep::{Frame, Pose, SweepRef};
 
 /// What to write of each sweep.
 #[derive(Clone, Debug, clap::Args)]
@@ -44,9 +45,9 @@ pub struct OutputOptions {
     /// output
     #[arg(long, value_name = "FILE")]
     pub raw: Option<PathBuf>,
-    /// Axes of the points in --csv and --pcd, and of --segments
-    #[arg(long, value_enum, default_value_t = Axes::Sensor)]
-    pub axes: Axes,
+    /// Frame of all lengths in --csv, --pcd, --png, --segments and --objects
+    #[arg(long, alias = "axes", value_name = "FRAME", default_value = "sensor", value_parser = frames())]
+    pub frame: Frame,
     /// Leave out the times that each stage took, so that two runs print the same
     #[arg(long)]
     pub no_timing: bool,
@@ -58,6 +59,23 @@ impl OutputOptions {
     /// Whether standard output is for programs, without tables for people.
     pub fn is_piped(&self) -> bool {
         self.piped().next().is_some()
+    }
+
+    /// What is to be said of a sensor where a frame by its mount was asked for, and none was given.
+    pub fn mount_note(&self, sensor: &str, mount: &Pose, is_objects: bool) -> Option<String> {
+        let is_used = is_objects
+            || self.csv.is_some()
+            || self.pcd.is_some()
+            || self.png.is_some()
+            || self.segments.is_some();
+        if self.frame == Frame::Sensor || !is_used || mount.is_given() {
+            return None;
+        }
+        let frame = self.frame.name();
+        Some(format!(
+            "{sensor}: its mount is not known: the origin and the tilt of --frame {frame} are those of the sensor; give them as \
+             [sensor.mount] of the configuration, or to replay the tilt as --pitch and --roll"
+        ))
     }
 
     /// The options that write to standard output.
@@ -102,6 +120,23 @@ impl ForceOptions {
             Existing::Keep
         }
     }
+}
+
+/// The names of the frames, each with what it is.
+fn frames() -> impl TypedValueParser<Value = Frame> {
+    let values = Frame::ALL.map(|frame| {
+        PossibleValue::new(frame.name()).help(match frame {
+            Frame::Sensor => "of the sensor: its origin; x right, y forward at azimuth 0, z up",
+            Frame::Robot => "of the robot: the mount applied; x right, y forward, z up",
+            Frame::Ros => "of the robot, as ROS: x forward, y left, z up",
+        })
+    });
+    PossibleValuesParser::new(values).map(|name| {
+        let mut frames = Frame::ALL.into_iter();
+        frames
+            .find(|frame| frame.name() == name)
+            .unwrap_or_default()
+    })
 }
 
 /// A sweep as `--json` prints it.
@@ -188,7 +223,7 @@ pub struct Outputs {
     mcap: Option<McapOutput>,
     segments: Option<SegmentTables>,
     raw: Option<Stream>,
-    axes: Axes,
+    frame: Frame,
     stdout: Option<BufWriter<Stdout>>,
     timing: bool,
 }
@@ -208,7 +243,7 @@ pub struct SweepId {
 #[derive(Clone)]
 pub struct Encoder {
     formats: Vec<Format>,
-    axes: Axes,
+    frame: Frame,
     has_messages: bool,
     is_raw: bool,
     timing: bool,
@@ -233,7 +268,7 @@ impl Encoder {
         let formats = self.formats.iter();
         EncodedFiles {
             files: formats
-                .map(|format| format.encode(sweep, self.axes, &title))
+                .map(|format| format.encode(sweep, self.frame, &title))
                 .collect(),
             messages: self.has_messages.then(|| SweepMessages::of(&sweep)),
             raw: match self.is_raw {
@@ -260,11 +295,11 @@ impl Outputs {
         ] {
             files.extend(dir.clone().map(|dir| (dir, format)));
         }
-        let axes = options.axes;
+        let frame = options.frame;
         let existing = options.force.existing();
         let stdout = options.json.then(|| BufWriter::new(io::stdout()));
         let segments = match &options.segments {
-            Some(path) => Some(SegmentTables::create(path, axes, existing)?),
+            Some(path) => Some(SegmentTables::create(path, frame, existing)?),
             None => None,
         };
         let mcap = match &options.mcap {
@@ -283,7 +318,7 @@ impl Outputs {
             mcap,
             segments,
             raw,
-            axes,
+            frame,
             stdout,
             timing: !options.no_timing,
         };
@@ -311,7 +346,7 @@ impl Outputs {
     pub fn encoder(&self) -> Encoder {
         Encoder {
             formats: self.files.iter().map(|(_, format)| *format).collect(),
-            axes: self.axes,
+            frame: self.frame,
             has_messages: self.mcap.is_some(),
             is_raw: self.raw.is_some(),
             timing: self.timing,

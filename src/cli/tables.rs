@@ -5,14 +5,14 @@ use std::path::Path;
 use super::CliError;
 use super::stream::{Stream, is_stdout};
 use crate::export::segments::TableFormat;
-use crate::export::{Axes, Existing, write_segments};
-use sweepd_core::sweep::SweepRef;
+use crate::export::{Existing, write_segments};
+use sweepd_core::sweep::{Frame, SweepRef};
 
 /// A file under way.
 pub struct SegmentTables {
     out: Stream,
     format: TableFormat,
-    axes: Axes,
+    frame: Frame,
 }
 
 impl SegmentTables {
@@ -20,7 +20,7 @@ impl SegmentTables {
     ///
     /// # Errors
     /// [`CliError`]: a name without a known format, a file that exists or cannot be written.
-    pub fn create(path: &Path, axes: Axes, existing: Existing) -> Result<Self, CliError> {
+    pub fn create(path: &Path, frame: Frame, existing: Existing) -> Result<Self, CliError> {
         let format = match TableFormat::of(path) {
             Some(format) => format,
             None if is_stdout(path) => TableFormat::Jsonl,
@@ -33,7 +33,7 @@ impl SegmentTables {
         };
         let mut out = Stream::create(path, existing)?;
         out.write(|out| out.write_all(format.header().as_bytes()))?;
-        Ok(Self { out, format, axes })
+        Ok(Self { out, format, frame })
     }
 
     /// Writes the segments of a sweep.
@@ -41,8 +41,8 @@ impl SegmentTables {
     /// # Errors
     /// [`CliError`]: what the disk or the reader says.
     pub fn sweep(&mut self, sweep: SweepRef<'_>, seq: u64) -> Result<(), CliError> {
-        let Self { out, format, axes } = self;
-        out.write(|mut out| write_segments(sweep, seq, *axes, *format, &mut out))
+        let Self { out, format, frame } = self;
+        out.write(|mut out| write_segments(sweep, seq, *frame, *format, &mut out))
     }
 
     /// Gives the file its name.

@@ -21,7 +21,7 @@ use crate::suggest::nearest;
 use sweepd_client::client::{Client, Domain, SweepRef};
 use sweepd_client::host::{monotonic_ns, realtime_ns};
 use sweepd_core::sensor::Model;
-use sweepd_core::sweep::Header;
+use sweepd_core::sweep::{Header, Pose};
 
 /// Interval of the check for a signal.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
@@ -189,6 +189,12 @@ impl Watch<'_> {
             arrival: arrival_ns as f64 / 1000.0,
             completed: completed_ns as f64 / 1000.0,
         };
+        if self.newest.is_none()
+            && let Some(note) =
+                (self.args.output).mount_note(&self.name, &Pose::of_mount(header), false)
+        {
+            complain("note", note);
+        }
         self.latencies.add(header, latency_us);
         let now = Duration::from_nanos(receipt.monotonic_ns.unsigned_abs());
         self.note_losses(header, now);

@@ -2,8 +2,7 @@
 
 use std::io::{self, Write};
 
-use super::Axes;
-use sweepd_core::sweep::{Return, SweepRef};
+use sweepd_core::sweep::{Frame, Return, SweepRef};
 
 /// First line of every file.
 pub const HEADER: &str = "packet,block,row,column,channel,return,azimuth_deg,elevation_deg,range_m,\
@@ -14,16 +13,16 @@ const CHUNK: usize = 1 << 16;
 
 /// Writes [`HEADER`] and a line per return, in the order of [`SweepRef::returns`].
 ///
-/// Angles and lengths have four decimals; the azimuth is in `0.0000..=359.9999`, and `-0.0000` does
+/// x, y and z are those of the frame. Angles and lengths have four decimals; the azimuth is in `0.0000..=359.9999`, and `-0.0000` does
 /// not occur.
 ///
 /// # Errors
 /// Those of `out`.
-pub fn write_csv(sweep: SweepRef<'_>, axes: Axes, out: &mut impl Write) -> io::Result<()> {
+pub fn write_csv(sweep: SweepRef<'_>, frame: Frame, out: &mut impl Write) -> io::Result<()> {
     let mut text = Vec::with_capacity(CHUNK + 1024);
     text.extend_from_slice(HEADER.as_bytes());
-    for found in sweep.returns() {
-        push_line(&mut text, &found, axes);
+    for found in sweep.points(frame) {
+        push_line(&mut text, &found);
         if text.len() >= CHUNK {
             out.write_all(&text)?;
             text.clear();
@@ -32,7 +31,7 @@ pub fn write_csv(sweep: SweepRef<'_>, axes: Axes, out: &mut impl Write) -> io::R
     out.write_all(&text)
 }
 
-fn push_line(text: &mut Vec<u8>, found: &Return, axes: Axes) {
+fn push_line(text: &mut Vec<u8>, found: &Return) {
     push_integer(text, found.packet);
     push_integer(text, u64::from(found.block));
     for index in [found.row, found.column, found.channel] {
@@ -43,7 +42,7 @@ fn push_line(text: &mut Vec<u8>, found: &Return, axes: Axes) {
     push_azimuth(text, found.azimuth_rad.to_degrees());
     push_decimal(text, found.elevation_rad.to_degrees());
     push_decimal(text, f64::from(found.range_m));
-    for length in axes.of_sensor(found.point_m) {
+    for length in found.point_m {
         push_decimal(text, length);
     }
     push_integer(text, u64::from(found.reflectivity));
@@ -111,9 +110,9 @@ mod tests {
     use crate::export::test_scene::{Scene, two_beams};
     use proptest::prelude::*;
 
-    fn csv(sweep: SweepRef<'_>, axes: Axes) -> String {
+    fn csv(sweep: SweepRef<'_>, frame: Frame) -> String {
         let mut out = Vec::new();
-        write_csv(sweep, axes, &mut out).unwrap();
+        write_csv(sweep, frame, &mut out).unwrap();
         String::from_utf8(out).unwrap()
     }
 
@@ -124,22 +123,42 @@ mod tests {
     fn lines_by_hand() {
         let scene = two_beams();
         assert_eq!(
-            csv(scene.sweep(), Axes::Sensor),
+            csv(scene.sweep(), Frame::Sensor),
             "packet,block,row,column,channel,return,azimuth_deg,elevation_deg,range_m,x_m,y_m,z_m,reflectivity,\
              time_ns,label\n\
              7,4,0,0,1,last,90.0000,30.0000,2.0000,1.7321,0.0000,1.0000,200,1700000000000000500,2\n\
              7,5,0,0,1,strongest,90.0000,30.0000,1.5000,1.2990,0.0000,0.7500,100,1700000000000000500,0\n\
              7,6,1,1,0,last,0.0000,0.0000,10.0000,0.0000,10.0000,0.0000,3,1700000000000055296,1\n"
         );
-        let ros = csv(scene.sweep(), Axes::Ros);
+        let ros = csv(scene.sweep(), Frame::Ros);
         assert!(ros.contains(",2.0000,0.0000,-1.7321,1.0000,200,"), "{ros}");
         assert!(ros.contains(",10.0000,10.0000,0.0000,0.0000,3,"), "{ros}");
+    }
+
+    /// By hand: the nose lifts (0, 10, 0) to (0, 8.6603, 5), the turn makes of it (-8.6603, 0, 5), and
+    /// the place (-8.1603, 1, 6.5).
+    #[test]
+    fn the_mount_is_applied() {
+        let mut scene = two_beams();
+        scene.mount();
+        let [sensor, robot, ros] = Frame::ALL.map(|frame| csv(scene.sweep(), frame));
+        assert_eq!(sensor, csv(two_beams().sweep(), Frame::Sensor));
+        assert!(
+            robot.contains(",2.0000,1.0000,2.7321,2.3660,200,"),
+            "{robot}"
+        );
+        assert!(
+            robot.contains(",10.0000,-8.1603,1.0000,6.5000,3,"),
+            "{robot}"
+        );
+        assert!(ros.contains(",2.0000,2.7321,-1.0000,2.3660,200,"), "{ros}");
+        assert!(ros.contains(",10.0000,1.0000,8.1603,6.5000,3,"), "{ros}");
     }
 
     #[test]
     fn every_return_of_a_scene_is_a_line_that_says_the_same() {
         let scene = Scene::small();
-        let text = csv(scene.sweep(), Axes::Sensor);
+        let text = csv(scene.sweep(), Frame::Sensor);
         let mut lines = text.lines().skip(1);
         for column in 0..scene.sweep().columns.len() {
             for row in 0..scene.sweep().rows() {

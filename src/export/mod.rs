@@ -23,10 +23,8 @@ use std::fs;
 use std::io::{self, Write};
 use std::path::PathBuf;
 
-use clap::ValueEnum;
-
 use crate::files::output::NewFile;
-use sweepd_core::sweep::SweepRef;
+use sweepd_core::sweep::{Frame, SweepRef};
 
 pub use crate::files::WriteError;
 pub use crate::files::output::Existing;
@@ -35,28 +33,6 @@ pub use pcd::write_pcd;
 pub use png::{Title, write_png};
 pub use raw::trimmed;
 pub use segments::write_segments;
-
-/// Axes in which points are written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Axes {
-    /// As the sensor's manual: x right, y forward at azimuth 0, z up
-    Sensor,
-    /// As ROS: x forward, y left, z up
-    // REP 103.
-    Ros,
-}
-
-impl Axes {
-    /// A point of the sensor's axes in these axes.
-    #[inline]
-    pub fn of_sensor(self, point: [f64; 3]) -> [f64; 3] {
-        let [x, y, z] = point;
-        match self {
-            Self::Sensor => [x, y, z],
-            Self::Ros => [y, -x, z],
-        }
-    }
-}
 
 /// The kind of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,16 +55,21 @@ impl Format {
         }
     }
 
-    /// The file of a sweep.
+    /// The file of a sweep, with lengths in a frame.
     ///
     /// # Errors
     /// Errors of the writer of the format.
-    pub fn encode(self, sweep: SweepRef<'_>, axes: Axes, title: &Title<'_>) -> io::Result<Vec<u8>> {
+    pub fn encode(
+        self,
+        sweep: SweepRef<'_>,
+        frame: Frame,
+        title: &Title<'_>,
+    ) -> io::Result<Vec<u8>> {
         let mut file = Vec::new();
         match self {
-            Self::Csv => write_csv(sweep, axes, &mut file),
-            Self::Pcd => write_pcd(sweep, axes, &mut file),
-            Self::Png => write_png(sweep, title, &mut file),
+            Self::Csv => write_csv(sweep, frame, &mut file),
+            Self::Pcd => write_pcd(sweep, frame, &mut file),
+            Self::Png => write_png(sweep, frame, title, &mut file),
         }?;
         Ok(file)
     }
@@ -203,7 +184,7 @@ mod tests {
             (Format::Png, "png", b"\x89PNG"),
         ] {
             let new = || Exporter::new(dir.join("a/b"), format, Existing::Keep).unwrap();
-            let encode = || format.encode(scene.sweep(), Axes::Sensor, &TITLE);
+            let encode = || format.encode(scene.sweep(), Frame::Sensor, &TITLE);
             let mut exporter = new();
             let path = exporter.write(3, encode()).unwrap();
             assert_eq!(path, dir.join(format!("a/b/sweep_000003.{word}")));
@@ -239,7 +220,7 @@ mod tests {
             let mut exporter = Exporter::new(&dir, format, Existing::Keep).unwrap();
             let path = dir.join(format!("sweep_000003.{}", format.extension()));
             std::os::unix::fs::symlink("/dev/full", &path).unwrap();
-            let encoded = format.encode(Scene::small().sweep(), Axes::Ros, &TITLE);
+            let encoded = format.encode(Scene::small().sweep(), Frame::Ros, &TITLE);
             let error = exporter.write(3, encoded).unwrap_err();
             let expected = format!("cannot write {}: No space left on device", path.display());
             assert!(error.to_string().starts_with(&expected), "{error}");

@@ -2,8 +2,7 @@
 
 use std::io::{self, Write};
 
-use super::Axes;
-use sweepd_core::sweep::{Return, SweepRef};
+use sweepd_core::sweep::{Frame, Return, SweepRef};
 
 /// Bytes of a point: x, y, z, intensity as f32, ring as u16, label as u32, time as f32, without
 /// padding.
@@ -18,10 +17,10 @@ pub const POINT_BYTES: usize = 26;
 ///
 /// # Errors
 /// Those of `out`.
-pub fn write_pcd(sweep: SweepRef<'_>, axes: Axes, out: &mut impl Write) -> io::Result<()> {
+pub fn write_pcd(sweep: SweepRef<'_>, frame: Frame, out: &mut impl Write) -> io::Result<()> {
     let mut points = Vec::with_capacity(sweep.range.len() * POINT_BYTES);
-    for found in sweep.returns() {
-        points.extend_from_slice(&point(&found, &sweep, axes));
+    for found in sweep.points(frame) {
+        points.extend_from_slice(&point(&found, &sweep));
     }
     let count = points.len() / POINT_BYTES;
     let time_ns = sweep.header.time_ns;
@@ -43,8 +42,8 @@ pub fn write_pcd(sweep: SweepRef<'_>, axes: Axes, out: &mut impl Write) -> io::R
     out.write_all(&points)
 }
 
-fn point(found: &Return, sweep: &SweepRef<'_>, axes: Axes) -> [u8; POINT_BYTES] {
-    let [x, y, z] = axes.of_sensor(found.point_m);
+fn point(found: &Return, sweep: &SweepRef<'_>) -> [u8; POINT_BYTES] {
+    let [x, y, z] = found.point_m;
     let ring = (sweep.rows() - 1 - found.row) as u16;
     let time_s = found.time_ns.saturating_sub(sweep.header.time_ns) as f64 * 1e-9;
     let mut bytes = [0; POINT_BYTES];
@@ -88,7 +87,7 @@ mod tests {
     fn header_and_body_agree() {
         let scene = Scene::small();
         let mut file = Vec::new();
-        write_pcd(scene.sweep(), Axes::Sensor, &mut file).unwrap();
+        write_pcd(scene.sweep(), Frame::Sensor, &mut file).unwrap();
         let (header, body) = split(&file);
         let value = |key: &str| {
             header
@@ -122,7 +121,7 @@ mod tests {
     #[test]
     fn points_by_hand() {
         let mut file = Vec::new();
-        write_pcd(two_beams().sweep(), Axes::Ros, &mut file).unwrap();
+        write_pcd(two_beams().sweep(), Frame::Ros, &mut file).unwrap();
         assert!(file.starts_with(
             b"# .PCD v0.7 - Point Cloud Data file format\n# time 0 is 1700000000000000000 ns since 1970\n"
         ));

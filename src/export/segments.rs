@@ -3,9 +3,8 @@
 use std::io::{self, Write};
 use std::path::Path;
 
-use super::Axes;
 use super::csv::{push_decimal, push_integer, push_signed};
-use sweepd_core::sweep::{Segment, SweepRef};
+use sweepd_core::sweep::{Frame, Pose, Segment, SweepRef};
 
 /// First line of a table as CSV; also the keys of a line of JSON, in their order.
 pub const HEADER: &str = "sensor,seq,time_ns,label,points,centroid_x_m,centroid_y_m,centroid_z_m,min_x_m,min_y_m,min_z_m,\
@@ -51,7 +50,7 @@ enum Value<'a> {
 /// Writes a line for each segment of a sweep, in the order of their labels. `seq` is the number of
 /// the sweep.
 ///
-/// Lengths are metres in `axes`, angles degrees, both with four decimals; `time_ns` is that of the
+/// Lengths are metres in the frame, angles degrees, both with four decimals; `time_ns` is that of the
 /// sweep's first shot. `points` counts the pixels with a return in the segmented plane, `nearest_m`
 /// is the range of the nearest of them. The azimuths are those of the first and the last column in
 /// the sense of rotation, at their first shots; where the segment lies across the seam, the first
@@ -62,25 +61,28 @@ enum Value<'a> {
 pub fn write_segments(
     sweep: SweepRef<'_>,
     seq: u64,
-    axes: Axes,
+    frame: Frame,
     format: TableFormat,
     out: &mut impl Write,
 ) -> io::Result<()> {
     let mut text = Vec::new();
+    let pose = frame.pose(Pose::of_mount(sweep.header));
     for segment in sweep.segments {
-        push_line(&mut text, &values(&sweep, seq, segment, axes), format);
+        let values = values(&sweep, seq, segment, pose.as_ref());
+        push_line(&mut text, &values, format);
     }
     out.write_all(&text)
 }
 
 /// In the order of [`HEADER`].
-fn values<'a>(sweep: &SweepRef<'a>, seq: u64, segment: &Segment, axes: Axes) -> [Value<'a>; 21] {
-    let centroid = axes.of_sensor(segment.centroid_m.map(f64::from));
-    let one = axes.of_sensor(segment.min_m.map(f64::from));
-    let other = axes.of_sensor(segment.max_m.map(f64::from));
-    // A reversed axis exchanges least and greatest.
-    let least: [f64; 3] = std::array::from_fn(|axis| one[axis].min(other[axis]));
-    let greatest: [f64; 3] = std::array::from_fn(|axis| one[axis].max(other[axis]));
+fn values<'a>(
+    sweep: &SweepRef<'a>,
+    seq: u64,
+    segment: &Segment,
+    pose: Option<&Pose>,
+) -> [Value<'a>; 21] {
+    let centroid = segment.centroid_in(pose);
+    let [least, greatest] = segment.box_in(pose);
     [
         Value::Text(sweep.header.sensor()),
         Value::Count(seq),
@@ -153,16 +155,14 @@ mod tests {
     use super::*;
     use crate::export::test_scene::{Scene, two_beams};
 
-    fn written(sweep: SweepRef<'_>, axes: Axes, format: TableFormat) -> String {
+    fn written(sweep: SweepRef<'_>, frame: Frame, format: TableFormat) -> String {
         let mut out = Vec::new();
-        write_segments(sweep, 7, axes, format, &mut out).unwrap();
+        write_segments(sweep, 7, frame, format, &mut out).unwrap();
         String::from_utf8(out).unwrap()
     }
 
-    /// By hand: a box before the sensor and to its left, across the seam. Turned to the axes of
-    /// ROS, forward is x and left y.
-    #[test]
-    fn lines_by_hand() {
+    /// A box before the sensor and to its left, across the seam.
+    fn scene() -> Scene {
         let mut scene = two_beams();
         scene.fill(|sweep| {
             sweep.header.segments = 1;
@@ -177,13 +177,20 @@ mod tests {
                 segment.column_last,
             ) = (0, 1, 1, 0);
         });
-        let csv = written(scene.sweep(), Axes::Sensor, TableFormat::Csv);
+        scene
+    }
+
+    /// By hand. Turned to the axes of ROS, forward is x and left y.
+    #[test]
+    fn lines_by_hand() {
+        let scene = scene();
+        let csv = written(scene.sweep(), Frame::Sensor, TableFormat::Csv);
         assert_eq!(
             csv,
             "192.168.1.201:2368,7,1700000000000000000,2,31,-0.5000,5.5000,0.0000,-1.0000,5.0000,-0.5000,-0.2500,6.0000,\
              1.5000,5.2500,0.0000,90.0000,0,1,1,0\n"
         );
-        let json = written(scene.sweep(), Axes::Ros, TableFormat::Jsonl);
+        let json = written(scene.sweep(), Frame::Ros, TableFormat::Jsonl);
         assert_eq!(
             json,
             "{\"sensor\":\"192.168.1.201:2368\",\"seq\":7,\"time_ns\":1700000000000000000,\"label\":2,\"points\":31,\
@@ -194,19 +201,48 @@ mod tests {
         );
     }
 
+    /// By hand. The nose up: y 0.8660 y - 0.5 z, from 3.5801 to 5.4462, and z 0.5 y + 0.8660 z, from
+    /// 2.0670 to 4.2990. To the left: x is -y, and y is x. Then the place.
+    #[test]
+    fn the_box_is_around_its_corners_where_the_mount_is() {
+        let mut scene = scene();
+        scene.mount();
+        let told = |frame| {
+            let csv = written(scene.sweep(), frame, TableFormat::Csv);
+            csv.splitn(6, ',').nth(5).unwrap().to_owned()
+        };
+        let robot = "-4.2631,0.5000,4.2500,-4.9462,0.0000,3.5670,-3.0801,0.7500,5.7990,";
+        assert!(
+            told(Frame::Robot).starts_with(robot),
+            "{}",
+            told(Frame::Robot)
+        );
+        let ros = "0.5000,4.2631,4.2500,0.0000,3.0801,3.5670,0.7500,4.9462,5.7990,";
+        assert!(told(Frame::Ros).starts_with(ros), "{}", told(Frame::Ros));
+        let boxes: Vec<_> = scene.sweep().boxes(Frame::Ros).collect();
+        let expected = [[0.0, 3.080_127, 3.566_987], [0.75, 4.946_152, 5.799_038]];
+        let pairs = boxes[0].as_flattened().iter().zip(expected.as_flattened());
+        assert!(
+            boxes.len() == 1
+                && pairs
+                    .into_iter()
+                    .all(|(one, other)| (one - other).abs() < 1e-6)
+        );
+    }
+
     /// A sweep from shared memory may hold anything.
     #[test]
     fn lines_of_any_table_can_be_read() {
         for seed in 0..20 {
             let scene = Scene::random(3, 5, true, seed);
             let segments = scene.sweep().segments.len();
-            let json = written(scene.sweep(), Axes::Ros, TableFormat::Jsonl);
+            let json = written(scene.sweep(), Frame::Ros, TableFormat::Jsonl);
             assert!(
                 json.lines()
                     .all(|line| serde_json::from_str::<serde_json::Value>(line).is_ok()),
                 "{json}"
             );
-            let csv = written(scene.sweep(), Axes::Sensor, TableFormat::Csv);
+            let csv = written(scene.sweep(), Frame::Sensor, TableFormat::Csv);
             assert!(
                 csv.lines()
                     .all(|line| line.split(',').count() == HEADER.split(',').count()),

@@ -70,6 +70,16 @@ impl Scene {
         change(&mut SweepMut::open(self.buffer.as_mut()).unwrap());
     }
 
+    /// Mounts the sensor 0.5 m to the right, 1 m ahead, 1.5 m up, turned to the left, nose 30 degrees
+    /// up.
+    pub fn mount(&mut self) {
+        self.fill(|sweep| {
+            sweep.header.position_m = [0.5, 1.0, 1.5];
+            sweep.header.yaw_rad = 90_f32.to_radians();
+            sweep.header.pitch_rad = 30_f32.to_radians();
+        });
+    }
+
     /// Loses the packets of some columns.
     pub fn lose(&mut self, columns: Range<usize>) {
         self.fill(|sweep| {

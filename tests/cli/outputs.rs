@@ -1,5 +1,8 @@
 //! What comes out of a replay: JSON, tables, files.
 
+use std::ops::Range;
+use std::path::Path;
+
 use sweepd::admission::DiscoveredSensors;
 use sweepd::buffers::{Buffers, HeapBuffers, Memory};
 use sweepd::input::Capture;
@@ -275,35 +278,119 @@ fn csv_has_its_header_and_counts_packets_of_the_whole_capture() {
     }
 }
 
-#[test]
-fn ros_axes_are_the_sensor_s_turned() {
-    let folder = Folder::new("axes");
-    let points = |axes: &str| -> Vec<[f64; 3]> {
-        let dir = folder.path(axes);
-        let options = [
-            "--end",
-            "0.25",
-            "--axes",
-            axes,
-            "--csv",
-            dir.to_str().unwrap(),
-        ];
-        replay(&fixture("street_vlp16_losses.pcap"), &options).done();
-        let text = std::fs::read_to_string(dir.join("sweep_000000.csv")).unwrap();
-        let point = |line: &str| {
-            let fields: Vec<&str> = line.split(',').collect();
-            [9, 10, 11].map(|index| fields[index].parse().unwrap())
-        };
-        text.lines().skip(1).map(point).collect()
-    };
-    let (sensor, ros) = (points("sensor"), points("ros"));
-    assert!(sensor.len() > 10_000);
-    assert!(
-        sensor
-            .iter()
-            .zip(&ros)
-            .all(|(&[x, y, z], &[forward, left, up])| forward == y && left == -x && up == z)
+/// Lengths of a line of `--csv`, `--segments` or `--objects`: points, three at a time.
+type Lengths = Vec<f64>;
+
+/// What replay writes in a frame: the points of the first sweep, each segment's mean, least and
+/// greatest end, the same of each object, and what it said.
+fn in_frame(folder: &Folder, name: &str, options: &[&str]) -> ([Vec<Lengths>; 3], String) {
+    let [dir, table] = [folder.path(name), folder.path(&format!("{name}.csv"))];
+    let capture = fixture("street_vlp16_losses.pcap");
+    let files = [
+        "--csv",
+        dir.to_str().unwrap(),
+        "--segments",
+        table.to_str().unwrap(),
+    ];
+    let ran = replay(
+        &capture,
+        &[&["--end", "0.25"], &files[..], options].concat(),
     );
+    assert_eq!(ran.code, 0, "{}", ran.stderr);
+    let lengths = |path: &Path, fields: Range<usize>| -> Vec<Lengths> {
+        let text = std::fs::read_to_string(path).unwrap();
+        let lines = text.lines().skip(1);
+        let fields = lines.map(|line| line.split(',').take(fields.end).skip(fields.start));
+        fields
+            .map(|line| line.map(|field| field.parse().unwrap()).collect())
+            .collect()
+    };
+    let points = lengths(&dir.join("sweep_000000.csv"), 9..12);
+    let segments = lengths(&table, 5..14);
+    let told = replay(
+        &capture,
+        &[&["--end", "0.25", "--objects"], options].concat(),
+    );
+    let objects = crate::sweeps(&told.done());
+    let objects = objects
+        .iter()
+        .filter(|line| line["points"].is_u64())
+        .map(|line| {
+            let of =
+                ["centroid_m", "min_m", "max_m"].map(|name| line[name].as_array().unwrap().clone());
+            of.concat()
+                .iter()
+                .map(|length| length.as_f64().unwrap())
+                .collect()
+        });
+    ([points, segments, objects.collect()], ran.stderr)
+}
+
+/// The sensor's x, y, z where its right side is 20 degrees down and its nose 10 degrees up.
+fn tilted([x, y, z]: [f64; 3]) -> [f64; 3] {
+    let [(sr, cr), (sp, cp)] = [20_f64, 10.0].map(|degrees| degrees.to_radians().sin_cos());
+    let [x, z] = [x * cr + z * sr, z * cr - x * sr];
+    [x, y * cp - z * sp, y * sp + z * cp]
+}
+
+/// A point, or a mean with the box around a box, that is moved.
+fn moved(lengths: &Lengths, to: fn([f64; 3]) -> [f64; 3]) -> Lengths {
+    let ends = lengths.as_chunks().0;
+    let mut found = to(ends[0]).to_vec();
+    if let [_, least, most] = ends {
+        let corner = |bits: usize| to([0, 1, 2].map(|axis| [least, most][bits >> axis & 1][axis]));
+        let corners = || (0..8).map(corner);
+        for fold in [f64::min, f64::max] {
+            found.extend((0..3).map(|axis| corners().map(|at| at[axis]).reduce(fold).unwrap()));
+        }
+    }
+    found
+}
+
+#[track_caller]
+fn assert_moved(from: &[Vec<Lengths>; 3], to: &[Vec<Lengths>; 3], by: fn([f64; 3]) -> [f64; 3]) {
+    for (from, to) in from.iter().zip(to) {
+        assert!(from.len() == to.len() && from.len() > 20);
+        for (from, to) in from.iter().zip(to) {
+            let expected = moved(from, by);
+            let mut pairs = expected.iter().zip(to);
+            // Both were rounded.
+            assert!(
+                pairs.all(|(one, other)| (one - other).abs() < 2.5e-4),
+                "{expected:?} {to:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_frame_is_the_same_in_every_output() {
+    let folder = Folder::new("frames");
+    let mount = ["--pitch", "10", "--roll", "20", "--height", "1.9"];
+    let run = |name: &str, options: &[&str]| in_frame(&folder, name, &[options, &mount].concat());
+    let (sensor, said) = run("sensor", &[]);
+    assert_eq!(said, "");
+    let (robot, said) = run("robot", &["--frame", "robot"]);
+    assert_eq!(said, "");
+    assert_moved(&sensor, &robot, tilted);
+    // The former name of the option.
+    let (ros, said) = run("ros", &["--axes", "ros"]);
+    assert_eq!(said, "");
+    assert_moved(&robot, &ros, |[x, y, z]| [y, -x, z]);
+}
+
+#[test]
+fn where_no_mount_is_known_a_frame_by_it_is_the_sensor_s_and_that_is_said() {
+    let folder = Folder::new("unmounted");
+    let (sensor, said) = in_frame(&folder, "sensor", &[]);
+    assert_eq!(said, "");
+    let (ros, said) = in_frame(&folder, "ros", &["--frame", "ros"]);
+    let note = "note: 192.168.1.201:2368: its mount is not known";
+    assert!(
+        said.starts_with(note) && said.lines().count() == 1,
+        "{said}"
+    );
+    assert_moved(&sensor, &ros, |[x, y, z]| [y, -x, z]);
 }
 
 #[test]

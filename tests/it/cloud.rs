@@ -6,10 +6,11 @@ use std::fmt::Write;
 use std::path::Path;
 
 use crate::common::run::Runner;
-use sweepd::export::{Axes, write_pcd};
+use sweepd::export::write_pcd;
 use sweepd::pipeline;
 use sweepd::segment::Config;
 use sweepd::sensor::{Model, ModelExt};
+use sweepd::sweep::Frame;
 use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::{LABEL_GROUND, LABEL_NONE};
 use sweepd_lab::cloud::{COLUMNS, Cloud, CloudProjector, CloudSegmenter, Format, RowTable};
@@ -25,7 +26,7 @@ fn street() -> (Vec<u8>, Vec<u32>) {
         .unwrap();
     let sweep = SweepRef::open(runner.sweeps[2].as_ref()).unwrap();
     let mut file = Vec::new();
-    write_pcd(sweep, Axes::Ros, &mut file).unwrap();
+    write_pcd(sweep, Frame::Ros, &mut file).unwrap();
     (file, sweep.returns().map(|found| found.label).collect())
 }
 

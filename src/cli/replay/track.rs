@@ -24,8 +24,8 @@ use sweepd_core::pipeline::{
 use sweepd_core::segment::objects::MAX_WIDTH_RAD;
 use sweepd_core::sensor::compare::Difference;
 use sweepd_core::sensor::detect::Detection;
-use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::flags;
+use sweepd_core::sweep::{Pose, SweepRef};
 use sweepd_core::wire::{Content, Packet};
 
 /// What the tracks of all sensors begin with.
@@ -46,6 +46,7 @@ pub(super) struct Track<'a> {
     /// Number of the sensor.
     index: usize,
     name: String,
+    mount: Pose,
     pipeline: Pipeline,
     /// Kept from round to round.
     memory: Memory<JobBuffers>,
@@ -80,8 +81,13 @@ impl<'a> Track<'a> {
         if let Some(note) = args.publish.note(index, name) {
             setup.progress.suspend(|| complain("note", note));
         }
+        let mount = setup.config.mount();
+        if let Some(note) = args.output.mount_note(name, &mount, args.objects) {
+            setup.progress.suspend(|| complain("note", note));
+        }
         Ok(Self {
             args,
+            mount,
             progress: setup.progress.clone(),
             index,
             name: name.to_owned(),
@@ -91,7 +97,7 @@ impl<'a> Track<'a> {
             detection: None,
             emitted: 0,
             past: Counts::default(),
-            objects: args.objects.then(ObjectLines::default),
+            objects: args.objects.then(|| ObjectLines::new(args.output.frame)),
             whole: None,
             newest_ns: 0,
             record: None,
@@ -142,7 +148,7 @@ impl<'a> Track<'a> {
                 }
                 Event::Objects(new) => {
                     if let Some(lines) = &mut self.objects {
-                        lines.print(&self.name, &new, self.newest_ns)?;
+                        lines.print(&self.name, self.mount, &new, self.newest_ns)?;
                     }
                     if self.whole.is_some() {
                         return Ok(self.whole.take());

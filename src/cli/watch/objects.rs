@@ -30,9 +30,10 @@ struct Delays {
 /// Prints objects as they come, until that many sweeps are complete.
 pub(super) fn run(args: &Args, client: &Client, over: &AtomicBool) -> Result<(), CliError> {
     let mut objects = client.objects()?;
-    let mut lines = ObjectLines::default();
+    let mut lines = ObjectLines::new(args.output.frame);
     let mut delays = Delays::default();
     let (mut seen, mut last, mut has_height) = (0, Instant::now(), true);
+    let mut is_told = false;
     while !over.load(Ordering::Relaxed) && args.sweeps.is_none_or(|sweeps| seen < sweeps) {
         let Some(message) = objects.next(LOOK_EVERY)?.received() else {
             if args.is_over(last.elapsed()) {
@@ -50,7 +51,13 @@ pub(super) fn run(args: &Args, client: &Client, over: &AtomicBool) -> Result<(),
         if args.latency {
             delays.add(&view, now_ns);
         } else {
-            lines.print(view.header.name(), &view.new_objects(), view.header.sent_ns)?;
+            let (name, mount) = (view.header.name(), view.header.mount());
+            if !std::mem::replace(&mut is_told, true)
+                && let Some(note) = args.output.mount_note(name, &mount, true)
+            {
+                complain("note", note);
+            }
+            lines.print(name, mount, &view.new_objects(), view.header.sent_ns)?;
         }
         let had_height = has_height;
         has_height = view.header.flags & flags::NO_HEIGHT == 0;

@@ -77,7 +77,7 @@ fn draw_meanings(page: &mut Canvas, at: Point) {
         let part = Rectangle::new(Point::new(left, lines[4].y), eighth);
         page.rect(part, palette::label(LABEL_FIRST_SEGMENT + index));
     }
-    draw_sensor(page, sensor.center(), &sensor);
+    draw_sensor(page, sensor.center(), [1.0, 0.0], &sensor);
 }
 
 /// The place of a swatch in a line.

@@ -23,7 +23,7 @@ use embedded_graphics::primitives::Rectangle;
 use self::canvas::Canvas;
 use self::raster::Raster;
 use self::strip::{AXIS_HEIGHT, CAPTION_HEIGHT};
-use sweepd_core::sweep::SweepRef;
+use sweepd_core::sweep::{Frame, SweepRef};
 
 pub use title::Title;
 
@@ -48,12 +48,17 @@ const LEGEND_GAP: i32 = 28;
 /// Draws a sweep and writes it as PNG.
 ///
 /// Any sweep gives a picture, also one without columns or returns. Of a dual sweep the images show
-/// the segmented return, the plan both.
+/// the segmented return, the plan both. The plan is in the frame.
 ///
 /// # Errors
 /// Those of `out`.
-pub fn write_png(sweep: SweepRef<'_>, title: &Title<'_>, out: impl Write) -> io::Result<()> {
-    draw(sweep, title).write_png(out)
+pub fn write_png(
+    sweep: SweepRef<'_>,
+    frame: Frame,
+    title: &Title<'_>,
+    out: impl Write,
+) -> io::Result<()> {
+    draw(sweep, frame, title).write_png(out)
 }
 
 /// The areas of a page.
@@ -91,7 +96,7 @@ impl Layout {
     }
 }
 
-fn draw(sweep: SweepRef<'_>, title: &Title<'_>) -> Canvas {
+fn draw(sweep: SweepRef<'_>, frame: Frame, title: &Title<'_>) -> Canvas {
     let layout = Layout::of(sweep.rows());
     let raster = Raster::new(sweep, layout.ranges.size.width as usize);
     let mut page = Canvas::new(Size::new(SIZE.0, SIZE.1), palette::BACKGROUND);
@@ -100,7 +105,7 @@ fn draw(sweep: SweepRef<'_>, title: &Title<'_>) -> Canvas {
     strip::draw_reflectivities(&mut page, &layout.reflectivities, sweep, &raster);
     strip::draw_labels(&mut page, &layout.labels, sweep, &raster);
     strip::draw_azimuths(&mut page, &layout.labels, sweep, &raster);
-    plan::draw(&mut page, &layout.plan, sweep, layout.labels.size);
+    plan::draw(&mut page, &layout.plan, sweep, frame, layout.labels.size);
     legend::draw(&mut page, &layout.legend, sweep);
     page
 }
@@ -121,8 +126,12 @@ mod tests {
 
     impl Picture {
         fn of(scene: &Scene) -> Self {
+            Self::in_frame(scene, Frame::Sensor)
+        }
+
+        fn in_frame(scene: &Scene, frame: Frame) -> Self {
             let mut file = Vec::new();
-            write_png(scene.sweep(), &TITLE, &mut file).unwrap();
+            write_png(scene.sweep(), frame, &TITLE, &mut file).unwrap();
             let mut reader = ::png::Decoder::new(io::Cursor::new(file))
                 .read_info()
                 .unwrap();
@@ -318,6 +327,31 @@ mod tests {
         );
     }
 
+    /// It looks to the left of the robot: the box at its right is ahead of the robot, the wall behind
+    /// it is to the robot's right, and so are the columns that were lost around it.
+    #[test]
+    fn the_plan_of_a_robot_has_the_mount() {
+        let mut scene = Scene::small();
+        scene.lose(210..230);
+        scene.fill(|sweep| sweep.header.yaw_rad = 90_f32.to_radians());
+        let [robot, ros] = [Frame::Robot, Frame::Ros].map(|frame| Picture::in_frame(&scene, frame));
+        let plan = Layout::of(16).plan;
+        let [block, wall] = [2, 3].map(|label| rgb(palette::label(label)));
+        let sensor = sensor(&robot, &plan);
+        for picture in [robot, ros] {
+            let is = |wanted| move |_, colour| colour == wanted;
+            let [left, _, top, bottom] = extent(&picture, &plan, is(block)).unwrap();
+            assert!(left > sensor.x + 10 && top < sensor.y && bottom > sensor.y - 10);
+            let [_, _, top, _] = extent(&picture, &plan, is(wall)).unwrap();
+            assert!(top > sensor.y + 10);
+            let stripes = extent(&picture, &plan, is(rgb(palette::MISSING_STRIPE))).unwrap();
+            assert!(
+                stripes[2] >= sensor.y && stripes[1] < sensor.x + 5,
+                "{stripes:?}"
+            );
+        }
+    }
+
     #[test]
     fn lost_columns_are_striped() {
         let mut scene = Scene::small();
@@ -365,7 +399,8 @@ mod tests {
         for (rows, columns, dual) in [(16, 1808, false), (32, 2170, false), (64, 2083, true)] {
             let scene = Scene::street(rows, columns, dual);
             let path = std::env::temp_dir().join(format!("sweepd_street_{rows}.png"));
-            write_png(scene.sweep(), &TITLE, std::fs::File::create(&path).unwrap()).unwrap();
+            let file = std::fs::File::create(&path).unwrap();
+            write_png(scene.sweep(), Frame::Sensor, &TITLE, file).unwrap();
             println!("{}", path.display());
         }
     }

@@ -12,7 +12,7 @@ use super::palette::{
 };
 use super::strip::draw_caption;
 use sweepd_core::sweep::layout::{LABEL_GROUND, LABEL_NONE};
-use sweepd_core::sweep::{Column, Segment, SweepRef};
+use sweepd_core::sweep::{Column, Frame, Pose, Segment, SweepRef};
 
 /// Percentage of the returns that may be outside at each side, since a few far ones would make all
 /// others small.
@@ -54,17 +54,32 @@ impl Spot {
 /// Maps metres to the page: y to the right, x down, so that azimuths are clockwise.
 struct FloorPlan {
     area: Rectangle,
-    sensor: Point,
+    /// Where the frame has its origin.
+    origin: Point,
     pixels_per_m: f64,
     /// Distance of two rings.
     ring_m: f64,
 }
 
 /// Draws the plan of a sweep, both returns of a dual one; the size of the label image decides which
-/// segments are numbered.
-pub fn draw(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, label_image: Size) {
+/// segments are numbered. By the mount, forward is to the right too: only the names of the axes are
+/// those of the frame.
+pub fn draw(
+    page: &mut Canvas,
+    area: &Rectangle,
+    sweep: SweepRef<'_>,
+    frame: Frame,
+    label_image: Size,
+) {
+    let mount = Pose::of_mount(sweep.header);
+    let drawn = match frame {
+        Frame::Sensor => Frame::Sensor,
+        Frame::Robot | Frame::Ros => Frame::Robot,
+    };
+    let pose = drawn.pose(mount);
+    let sensor = pose.unwrap_or(Pose::IDENTITY);
     let spots: Vec<Spot> = sweep
-        .returns()
+        .points(drawn)
         .filter(|found| found.point_m.iter().all(|length| length.is_finite()))
         .map(|found| Spot {
             x_m: found.point_m[0],
@@ -73,36 +88,64 @@ pub fn draw(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, label_imag
         })
         .collect();
     let plan = FloorPlan::of(&spots, *area);
-    let remark = format!(
-        "forward (y) to the right, x down, a ring every {} m around the sensor",
-        plan.ring_m
+    draw_caption(
+        page,
+        area,
+        "seen from above",
+        &remark(frame, &mount, plan.ring_m),
     );
-    draw_caption(page, area, "seen from above", &remark);
     page.rect(*area, NO_RETURN);
-    plan.draw_lost_sectors(page, sweep.columns);
+    let [x_m, y_m, _] = sensor.position_m;
+    let at = plan.pixel(x_m, y_m);
+    plan.draw_lost_sectors(page, sweep.columns, at, &sensor);
     plan.draw_grid(page);
     plan.draw_spots(page, &spots);
-    draw_sensor(page, plan.sensor, area);
+    let forward = [1, 0].map(|axis: usize| sensor.rotation[axis][1]);
+    draw_sensor(page, at, forward, area);
     let mut texts = Texts::new(*area);
-    texts.keep_clear(Rectangle::with_center(plan.sensor, Size::new_equal(24)));
+    texts.keep_clear(Rectangle::with_center(at, Size::new_equal(24)));
     plan.draw_axes(page, &mut texts);
-    let anchors = anchors(&spots, sweep.segments);
+    let anchors = anchors(&spots, sweep.segments, pose.as_ref());
     for segment in numbered(sweep, label_image) {
         if let Some([x_m, y_m]) = entry(segment.label).and_then(|entry| *anchors.get(entry)?) {
-            plan.draw_number(page, &mut texts, segment, plan.pixel(x_m, y_m));
+            let box_m = segment.box_in(pose.as_ref());
+            let at = plan.pixel(x_m, y_m);
+            plan.draw_number(page, &mut texts, segment.label, box_m, at);
         }
     }
 }
 
-/// An arrow head, forward.
-pub fn draw_sensor(page: &mut Canvas, at: Point, clip: &Rectangle) {
-    for (size, color) in [(10, RIM), (8, TEXT)] {
-        let arrow = Triangle::new(
-            at + Point::new(size + 2, 0),
-            at + Point::new(-size, -size),
-            at + Point::new(-size, size),
-        );
-        page.fill(&arrow, color, clip);
+/// What the axes and the rings are, and whether the mount is applied.
+fn remark(frame: Frame, mount: &Pose, ring_m: f64) -> String {
+    let (axes, around) = match frame {
+        Frame::Sensor => ("forward (y) to the right, x down", "the sensor"),
+        Frame::Robot => ("forward (y) to the right, x down", "the robot's origin"),
+        Frame::Ros => ("forward (x) to the right, y up", "the robot's origin"),
+    };
+    let rest = match (frame, mount.is_given()) {
+        (Frame::Sensor, true) => "; the mount is not applied",
+        (Frame::Robot | Frame::Ros, false) => "; the mount is not known",
+        _ => "",
+    };
+    format!("{axes}, a ring every {ring_m} m around {around}{rest}")
+}
+
+/// An arrow head, forward: to the right and down.
+pub fn draw_sensor(page: &mut Canvas, at: Point, forward: [f64; 2], clip: &Rectangle) {
+    let length = forward[0].hypot(forward[1]);
+    // One that looks straight up or down has no forward.
+    let [right, down] = match length > 0.1 {
+        true => forward.map(|each| each / length),
+        false => [1.0, 0.0],
+    };
+    for (size, color) in [(10.0, RIM), (8.0, TEXT)] {
+        let corners = [(size + 2.0, 0.0), (-size, -size), (-size, size)];
+        let [tip, left, other] = corners.map(|(ahead, aside)| {
+            let x: f64 = ahead * right - aside * down;
+            let y: f64 = ahead * down + aside * right;
+            at + Point::new(x.round() as i32, y.round() as i32)
+        });
+        page.fill(&Triangle::new(tip, left, other), color, clip);
     }
 }
 
@@ -136,7 +179,7 @@ impl FloorPlan {
         );
         Self {
             area,
-            sensor: area.center() - middle,
+            origin: area.center() - middle,
             pixels_per_m,
             ring_m: round_up(RING / pixels_per_m),
         }
@@ -144,7 +187,7 @@ impl FloorPlan {
 
     /// The pixel of a place, possibly far outside of the area.
     fn pixel(&self, x_m: f64, y_m: f64) -> Point {
-        self.sensor + Point::new(self.pixels(y_m), self.pixels(x_m))
+        self.origin + Point::new(self.pixels(y_m), self.pixels(x_m))
     }
 
     fn pixels(&self, length_m: f64) -> i32 {
@@ -154,15 +197,14 @@ impl FloorPlan {
 
     /// Stripes in the directions in which packets were lost, where an empty plan does not mean free
     /// space.
-    fn draw_lost_sectors(&self, page: &mut Canvas, columns: &[Column]) {
+    fn draw_lost_sectors(&self, page: &mut Canvas, columns: &[Column], sensor: Point, pose: &Pose) {
         let Some(lost) = lost_bins(columns) else {
             return;
         };
         for pixel in self.area.points() {
-            let Point { x, y } = pixel - self.sensor;
-            if palette::missing(pixel.x, pixel.y) == MISSING
-                && lost[bin(f64::from(y).atan2(f64::from(x)))]
-            {
+            let from_sensor = pixel - sensor;
+            let [right, forward] = level_in_sensor(pose, from_sensor);
+            if palette::missing(pixel.x, pixel.y) == MISSING && lost[bin(right.atan2(forward))] {
                 page.set(pixel, MISSING_STRIPE);
             }
         }
@@ -172,7 +214,7 @@ impl FloorPlan {
     fn axis_ends(&self) -> [Point; 4] {
         let first = self.area.top_left;
         let last = first + self.area.size - Point::new(1, 1);
-        let Point { x, y } = self.sensor;
+        let Point { x, y } = self.origin;
         [
             Point::new(last.x, y),
             Point::new(x, last.y),
@@ -183,11 +225,11 @@ impl FloorPlan {
 
     fn draw_grid(&self, page: &mut Canvas) {
         for end in self.axis_ends() {
-            page.outline(&Line::new(self.sensor, end), GRID, &self.area);
+            page.outline(&Line::new(self.origin, end), GRID, &self.area);
         }
         for radius_m in self.rings_m() {
             let radius = (radius_m * self.pixels_per_m).round() as u32;
-            let ring = Circle::with_center(self.sensor, 2 * radius + 1);
+            let ring = Circle::with_center(self.origin, 2 * radius + 1);
             page.outline(&ring, GRID, &self.area);
         }
     }
@@ -195,7 +237,7 @@ impl FloorPlan {
     /// The rings that intersect the area.
     fn rings_m(&self) -> impl Iterator<Item = f64> + use<> {
         let ring_m = self.ring_m;
-        let [forward, right, back, left] = self.axis_ends().map(|end| end - self.sensor);
+        let [forward, right, back, left] = self.axis_ends().map(|end| end - self.origin);
         let reach = f64::from(forward.x.max(-back.x)).hypot(f64::from(right.y.max(-left.y)));
         let count = (reach / self.pixels_per_m / ring_m) as u32;
         (1..=count).map(move |ring| f64::from(ring) * ring_m)
@@ -221,23 +263,29 @@ impl FloorPlan {
         for (end, text) in ends.into_iter().zip(["0° forward", "90°", "180°", "270°"]) {
             texts.draw(page, end, text, BODY);
         }
-        let right = (ends[0].x - self.sensor.x) >= (self.sensor.x - ends[2].x);
+        let right = (ends[0].x - self.origin.x) >= (self.origin.x - ends[2].x);
         for radius_m in self.rings_m() {
             let at = self.pixel(0.0, if right { radius_m } else { -radius_m });
             texts.draw(page, at, &format!("{radius_m} m"), NOTE);
         }
     }
 
-    /// The number of a segment with a return at `at`: at that point if the segment is larger than
+    /// The number of a segment with this box and a return at `at`: at that point if the segment is larger than
     /// its number, else beside it.
-    fn draw_number(&self, page: &mut Canvas, texts: &mut Texts, segment: &Segment, at: Point) {
-        let size = number_size(segment.label);
+    fn draw_number(
+        &self,
+        page: &mut Canvas,
+        texts: &mut Texts,
+        label: u32,
+        [least_m, most_m]: [[f64; 3]; 2],
+        at: Point,
+    ) {
+        let size = number_size(label);
         let width = size.width as i32;
         let height = size.height as i32;
         // The page has the sensor's y to the right.
-        let [y, x, _] = std::array::from_fn(|axis| {
-            f64::from(segment.max_m[axis] - segment.min_m[axis]) * self.pixels_per_m
-        });
+        let [y, x, _] =
+            std::array::from_fn(|axis| (most_m[axis] - least_m[axis]) * self.pixels_per_m);
         // For a large segment stay near the return: there may be no returns at the edge of its box.
         let half_x = x.min(BESIDE) as i32 / 2;
         let half_y = y.min(BESIDE) as i32 / 2;
@@ -250,26 +298,36 @@ impl FloorPlan {
         if x > f64::from(2 * width) && y > f64::from(height) || y > f64::from(2 * height) {
             centers.insert(0, at);
         }
-        texts.draw_number(page, segment.label, &centers);
+        texts.draw_number(page, label, &centers);
     }
 }
 
 /// The return of each segment nearest to its mean, x and y: there may be no return at the mean
 /// itself.
-fn anchors(spots: &[Spot], segments: &[Segment]) -> Vec<Option<[f64; 2]>> {
+fn anchors(spots: &[Spot], segments: &[Segment], pose: Option<&Pose>) -> Vec<Option<[f64; 2]>> {
+    let centroids_m: Vec<_> = segments
+        .iter()
+        .map(|segment| segment.centroid_in(pose))
+        .collect();
     let mut nearest = vec![(f64::INFINITY, None); segments.len()];
     for spot in spots {
         let Some(entry) = entry(spot.label).filter(|&entry| entry < segments.len()) else {
             continue;
         };
         let best = &mut nearest[entry];
-        let [x_m, y_m, _] = segments[entry].centroid_m;
-        let squared = (spot.x_m - f64::from(x_m)).powi(2) + (spot.y_m - f64::from(y_m)).powi(2);
+        let [x_m, y_m, _] = centroids_m[entry];
+        let squared = (spot.x_m - x_m).powi(2) + (spot.y_m - y_m).powi(2);
         if squared < best.0 {
             *best = (squared, Some([spot.x_m, spot.y_m]));
         }
     }
     nearest.into_iter().map(|(_, place)| place).collect()
+}
+
+/// A direction on the page as the sensor sees it: to its right and forward.
+fn level_in_sensor(pose: &Pose, Point { x, y }: Point) -> [f64; 2] {
+    let [across, along] = [f64::from(y), f64::from(x)];
+    [0, 1].map(|axis| pose.rotation[0][axis] * across + pose.rotation[1][axis] * along)
 }
 
 /// The direction of an azimuth.
