@@ -233,6 +233,18 @@ class Geometry(unittest.TestCase):
                 sweep.points_in(np.identity(4), frame),
             ):
                 self.assertTrue(np.allclose(points, expected, rtol=0, atol=1e-9, equal_nan=True))
+        self.assertGreater(len(sweep.segments), 10)
+        for frame, pose in (("sensor", np.identity(4)), ("robot", sweep.mount), ("ros", sweepd.ROS @ sweep.mount)):
+            boxes, table = sweep.boxes(frame), sweep.segments_to_pandas(frame)
+            self.assertEqual(boxes.shape, (len(sweep.segments), 2, 3))
+            for at, segment in enumerate(sweep.segments):
+                corners = np.array(list(itertools.product(*zip(segment["min_m"], segment["max_m"]))), dtype=float)
+                corners = corners @ pose[:3, :3].T + pose[:3, 3]
+                mean = segment["centroid_m"].astype(float) @ pose[:3, :3].T + pose[:3, 3]
+                expected = np.concatenate([mean, corners.min(axis=0), corners.max(axis=0)])
+                self.assertTrue(np.allclose(boxes[at].ravel(), expected[3:], rtol=0, atol=1e-9))
+                row = table.iloc[at][[f"{name}_{axis}_m" for name in ("centroid", "min", "max") for axis in "xyz"]]
+                self.assertTrue(np.allclose(row.astype(float), expected, rtol=0, atol=1e-9))
         other = sweep.points("robot", other=True)
         self.assertTrue((np.isnan(other[..., 0]) == ~(sweep.range2 > 0)).all())
         for wrong in (lambda: sweep.points("map"), lambda: sweep.points_in(np.identity(3))):

@@ -3,8 +3,9 @@
 //!
 //!     cargo run --release -p sweepd-client --example stop -- roof
 //!
-//! The box stands on the floor: the robot's origin lies there, so `z_m` of `[sensor.mount]` is the
-//! height of the sensor over it. **No output does not mean that the way is free.** What lies nearer
+//! The box stands on the floor. In the robot's frame the sensor is `z_m` of `[sensor.mount]` over
+//! the origin, and over the floor its height, configured as `height_m` or estimated: the floor is
+//! where these say, but never above the origin. **No output does not mean that the way is free.** What lies nearer
 //! than the lowest beam, or than the box, is not seen any more. What one row alone strikes can be
 //! ground, and so can a low thing that is deeper than 1 m, or a pallet. Holes and steps down are no
 //! objects. `cargo run --release --example obstacles` prints what is seen by sensor, height and
@@ -13,9 +14,10 @@
 use std::time::{Duration, SystemTime};
 
 use sweepd_client::client::Client;
+use sweepd_client::sweep::Frame;
 use sweepd_client::sweep::objects::flags;
 
-/// The box in the frame of the robot, least and greatest x (right), y (ahead) and z (up), metres.
+/// The box, least and greatest x (right), y (ahead) and z (up from the floor), metres.
 const STOP_M: [[f64; 3]; 2] = [[-1.0, 0.5, 0.05], [1.0, 5.0, 2.0]];
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -30,13 +32,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         if view.header.flags & flags::NO_HEIGHT != 0 {
             println!("stop: the height of {name} is not known yet");
         }
-        let mount = view.header.mount();
-        if mount.position_m[2] <= 0.0 {
-            println!("stop: {name} has no z_m in [sensor.mount]: where is the floor?");
+        let (up_m, height_m) = (view.header.position_m[2], view.header.height_m);
+        if up_m <= 0.0 && height_m <= 0.0 {
+            println!(
+                "stop: {name} has no z_m in [sensor.mount] and no height: where is the floor?"
+            );
         }
+        let floor_m = (f64::from(up_m) - f64::from(height_m)).min(0.0);
         // Parts too: a wide object is told in parts first.
-        for object in view.objects {
-            let [least_m, most_m] = mount.bounds(object.segment.min_m, object.segment.max_m);
+        for (object, [mut least_m, mut most_m]) in view.objects.iter().zip(view.boxes(Frame::Robot))
+        {
+            least_m[2] -= floor_m;
+            most_m[2] -= floor_m;
             if (0..3).all(|at| least_m[at] < STOP_M[1][at] && most_m[at] > STOP_M[0][at]) {
                 let now_ns = SystemTime::UNIX_EPOCH.elapsed()?.as_nanos() as i64;
                 let age_ns = now_ns - (view.header.time_ns + i64::from(object.last_ns));

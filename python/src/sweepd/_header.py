@@ -50,6 +50,17 @@ class Headed:
         pose[:3, 3] = self.header["position_m"]
         return pose
 
+    def _boxes(self, segments: NDArray[np.void], frame: Frame) -> Floats:
+        """The boxes of segments in a frame: (segments, 2, 3)."""
+        ends = np.stack([segments["min_m"], segments["max_m"]], axis=1).astype(float)
+        pose = self._pose_of(frame)
+        if pose is None:
+            return ends
+        shares = pose[:3, :3] * ends[:, :, np.newaxis]
+        turned = [shares.min(axis=1).sum(axis=-1), shares.max(axis=1).sum(axis=-1)]
+        boxes: Floats = np.stack(turned, axis=1) + pose[:3, 3]
+        return boxes
+
     def _pose_of(self, frame: Frame) -> Floats | None:
         """The pose of the sensor in a frame; `None` for its own."""
         if frame == "sensor":

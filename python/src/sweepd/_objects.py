@@ -66,15 +66,7 @@ class ObjectsMessage(Headed):
 
         `frame` as in `Sweep.points`. In another frame than the sensor's it is the box around the box.
         """
-        segments = self.objects["segment"]
-        ends = np.stack([segments["min_m"], segments["max_m"]], axis=1).astype(float)
-        pose = self._pose_of(frame)
-        if pose is None:
-            return ends
-        shares = pose[:3, :3] * ends[:, :, np.newaxis]
-        turned = [shares.min(axis=1).sum(axis=-1), shares.max(axis=1).sum(axis=-1)]
-        boxes: Floats = np.stack(turned, axis=1) + pose[:3, 3]
-        return boxes
+        return self._boxes(self.objects["segment"], frame)
 
 
 class Objects(Followed[ObjectsMessage]):

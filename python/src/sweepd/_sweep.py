@@ -47,7 +47,7 @@ class Sweep(Headed):
     beams: NDArray[np.void]
     """(rows,) records of `layout.BEAM`, the highest beam first."""
     segments: NDArray[np.void]
-    """(segments,) records of `layout.SEGMENT`; metres in the axes of the sensor."""
+    """(segments,) records of `layout.SEGMENT`; metres in the frame of the sensor: `boxes` gives other ones."""
 
     def __init__(self, data: Any) -> None:
         """Check `data`, the bytes of a sweep: an array of u8, or what NumPy takes for one, such as a file's content.
@@ -153,6 +153,13 @@ class Sweep(Headed):
         poses = [pose] if of_sensor is None else [of_sensor, pose]
         return self._moved(self._stored(other=other), poses)
 
+    def boxes(self, frame: Frame = "sensor") -> Floats:
+        """Give the box of each segment: (segments, 2, 3), metres: least x, y, z and greatest.
+
+        `frame` as in `points`. In another frame than the sensor's it is the box around the box.
+        """
+        return self._boxes(self.segments, frame)
+
     def _moved(self, stored: NDArray[np.float32], poses: list[Floats]) -> Floats:
         """The points of a plane, moved by one pose after another: (columns, rows, 3)."""
         columns, rows = stored.shape
@@ -211,14 +218,22 @@ class Sweep(Headed):
         xyz = dict(zip(("x_m", "y_m", "z_m"), values.pop("points").T))
         return pd.DataFrame({**values, **xyz})
 
-    def segments_to_pandas(self) -> Any:
-        """Make a pandas `DataFrame` of the segments, a line each, by the names of `sweepd replay --segments`."""
+    def segments_to_pandas(self, frame: Frame = "sensor") -> Any:
+        """Make a pandas `DataFrame` of the segments, a line each, by the names of `sweepd replay --segments`.
+
+        `frame` as in `points`: of the mean and the box.
+        """
         import pandas as pd
+
+        pose, boxes = self._pose_of(frame), self.boxes(frame)
+        lengths = {"centroid_m": self.segments["centroid_m"].astype(float), "min_m": boxes[:, 0], "max_m": boxes[:, 1]}
+        if pose is not None:
+            lengths["centroid_m"] = lengths["centroid_m"] @ pose[:3, :3].T + pose[:3, 3]
 
         names = [name for name in SEGMENT.names or () if not name.startswith("reserved")]
         table: dict[str, Any] = {"sensor": self.sensor, "seq": self.sequence, "time_ns": self.header["time_ns"]}
         for name in names:
-            values = self.segments[name]
+            values = lengths.get(name, self.segments[name])
             if values.ndim == 1:
                 table[name] = values
             else:
