@@ -409,6 +409,49 @@ fn what_is_saved_is_what_replay_writes() {
     tab.close();
 }
 
+/// In the robot's frame the page has the points that `sweepd replay` has there; without a mount it
+/// says so.
+#[test]
+#[cfg_attr(without_chromium, ignore = "no chromium")]
+fn the_robots_frame_is_that_of_replay() {
+    let capture = fixture("street_hdl32e.pcap.gz");
+    let mount = ["--pitch", "10", "--roll", "-20"];
+    for (mount, is_known) in [(&mount[..], true), (&[], false)] {
+        let out = target("robot_frame");
+        let _ = fs::remove_dir_all(&out);
+        let replay = [
+            "replay",
+            &capture,
+            "--no-timing",
+            "--frame",
+            "robot",
+            "--csv",
+        ];
+        sweepd(&[&replay, &[out.to_str().unwrap()], mount].concat());
+        let written = fs::read_to_string(out.join("sweep_000001.csv")).unwrap();
+        let view = View::start(&[&[capture.as_str()], mount].concat());
+        let mut tab = Tab::open(&format!("http://{}/#sweep=1", view.host));
+        tab.wait_for("window.sweepd.index === 1");
+        let choose = "const choice = document.getElementById('frame'); choice.value = 'robot'; \
+                      choice.dispatchEvent(new Event('change'));";
+        tab.value(choose);
+        let read = tab.text("window.sweepd.csv()");
+        let mut lines = read.lines().zip(written.lines());
+        assert_eq!(lines.find(|(one, other)| one != other), None);
+        assert_eq!(read.len(), written.len());
+        let is_said = tab.value("!document.getElementById('unmounted').hidden");
+        assert_eq!(is_said, Value::Bool(!is_known));
+        // The scene is in that frame too: boxes around what is drawn.
+        let inside = "(() => { const { segments, points } = window.sweepd.page.cloud.last; let outside = 0; \
+             for (let at = 0; at < points.count; at++) { const segment = segments[points.labels[at] - 2]; \
+             if (segment && [0, 1, 2].some((axis) => points.position[3 * at + axis] < segment.min_m[axis] - 1e-3 || \
+             points.position[3 * at + axis] > segment.max_m[axis] + 1e-3)) outside++; } \
+             return segments.length > 10 ? outside : -1; })()";
+        assert_eq!(tab.value(inside), Value::from(0));
+        tab.close();
+    }
+}
+
 #[test]
 #[cfg_attr(without_chromium, ignore = "no chromium")]
 fn without_webgl_all_but_the_3d_view_is_there() {

@@ -3,7 +3,7 @@
 
 import { Camera, VIEWS, project } from "./camera.js";
 import * as palette from "./palette.js";
-import { LABEL_FIRST_SEGMENT, LABEL_GROUND, OTHER, Points } from "./sweep.js";
+import { LABEL_FIRST_SEGMENT, LABEL_GROUND, OTHER, Points, moved, movedSegment } from "./sweep.js";
 
 /** What points can be coloured by. */
 export const COLOURS = {
@@ -65,7 +65,7 @@ export class CloudView {
     this.overlay = overlay;
     this.report = report;
     this.camera = new Camera();
-    this.options = { colour: "label", size: 2, boxes: true, numbers: true, grid: true, other: true };
+    this.options = { colour: "label", size: 2, boxes: true, numbers: true, grid: true, other: true, frame: "sensor" };
     this.sides = [new Side(), new Side()];
     /** Which sides are shown: [0], [1] or both, side by side. */
     this.shown = [0];
@@ -107,14 +107,18 @@ export class CloudView {
   show(index, sweep) {
     const side = this.sides[index];
     side.sweep = sweep;
+    side.pose = sweep?.pose(this.options.frame) ?? null;
+    side.segments = sweep === null ? [] : sweep.segments.map((segment) => movedSegment(side.pose, segment));
     if (sweep === null) side.points.count = 0;
     else sweep.fill(side.points, this.options.other);
+    if (side.pose !== null) side.points.move(side.pose);
     this.upload(side);
   }
 
   set(option, value) {
     this.options[option] = value;
-    if (option === "other") this.sides.forEach((side, index) => this.show(index, side.sweep));
+    if (option === "other" || option === "frame") this.sides.forEach((side, index) => this.show(index, side.sweep));
+    if (option === "frame") this.look(this.camera.view);
     if (option === "colour") this.sides.forEach((side) => this.upload(side));
     this.touch();
   }
@@ -127,12 +131,14 @@ export class CloudView {
 
   look(view) {
     this.camera.look(view);
+    // As the sensor sees, from where it is.
+    if (view === "sensor") this.camera.target = [...moved(this.last.pose, [0, 0, 0])];
     this.touch();
   }
 
-  /** What the colours of the side that is shown last mean. */
-  get legend() {
-    return this.sides[this.shown[this.shown.length - 1]].legend;
+  /** The side that is shown last. */
+  get last() {
+    return this.sides[this.shown[this.shown.length - 1]];
   }
 
   /** Points of the sides that are shown. */
@@ -156,7 +162,7 @@ export class CloudView {
     side.legend = sweep === null ? null : paint(side, this.options.colour);
     gl.bindBuffer(gl.ARRAY_BUFFER, side.buffer);
     gl.bufferData(gl.ARRAY_BUFFER, floats.subarray(0, points.count * WORDS), gl.DYNAMIC_DRAW);
-    side.outlines.fill(gl, sweep === null ? [] : boxes(sweep));
+    side.outlines.fill(gl, boxes(side.segments));
     this.touch();
   }
 
@@ -204,7 +210,7 @@ export class CloudView {
     gl.useProgram(this.linesProgram.program);
     gl.uniformMatrix4fv(this.linesProgram.matrix, false, matrix);
     if (options.grid) {
-      this.layGrid(side.sweep);
+      this.layGrid(side);
       gl.depthMask(false);
       this.grid.draw(gl);
       gl.depthMask(true);
@@ -220,17 +226,17 @@ export class CloudView {
     gl.useProgram(this.linesProgram.program);
     if (options.boxes) side.outlines.draw(gl);
     const entry = marked.label - LABEL_FIRST_SEGMENT;
-    if (side.sweep !== null && entry < side.sweep.segments.length) {
-      side.markedOutline.fill(gl, outline(side.sweep.segments[entry], 0xffffffff));
+    if (entry < side.segments.length) {
+      side.markedOutline.fill(gl, outline(side.segments[entry], 0xffffffff));
       side.markedOutline.draw(gl);
     }
   }
 
-  /** The grid: rings around the sensor on the ground, their distance by how far the camera is. */
-  layGrid(sweep) {
+  /** The grid: rings around the origin on the ground, their distance by how far the camera is. */
+  layGrid(side) {
     const step = palette.roundUp(Math.max(1, this.camera.distance / 6 || 10));
-    const ground = -groundDepth(sweep);
-    const up = plumb(sweep);
+    const ground = groundHeight(side);
+    const up = plumb(side);
     const key = [step, ground, ...up].join();
     if (this.grid.key === key) return;
     this.grid.key = key;
@@ -289,27 +295,27 @@ export class CloudView {
       context.fillText(words, x, y);
       return true;
     };
-    drawSensor(context, matrix, area);
-    if (this.options.numbers && sweep !== null) this.writeNumbers(sweep, text);
-    if (this.options.grid) this.writeMetres(sweep, text);
+    drawSensor(context, matrix, area, side.pose);
+    if (this.options.numbers && sweep !== null) this.writeNumbers(side, text);
+    if (this.options.grid) this.writeMetres(side, text);
     const { point } = this.marked;
     if (point !== null) {
-      const [x, y, depth] = project(matrix, point, area);
+      const [x, y, depth] = project(matrix, moved(side.pose, point), area);
       if (depth > 0) ring(context, x, y);
     }
     context.restore();
   }
 
-  writeNumbers(sweep, text) {
+  writeNumbers({ segments }, text) {
     const { marked } = this;
     const eye = this.camera.eye();
     const away = (segment) => Math.hypot(...segment.centroid_m.map((value, axis) => value - eye[axis]));
-    const order = sweep.segments
+    const order = segments
       .filter((segment) => segment.max_m[2] - segment.min_m[2] > 0.2)
       .map((segment) => ({ segment, weight: Math.sqrt(segment.points) / away(segment) }))
       .sort((one, other) => other.weight - one.weight)
       .slice(0, 2 * MOST_TEXTS);
-    const chosen = sweep.segment(marked.label);
+    const chosen = segments[marked.label - LABEL_FIRST_SEGMENT];
     if (chosen !== undefined) order.unshift({ segment: chosen });
     let written = 0;
     for (const { segment } of order) {
@@ -322,10 +328,10 @@ export class CloudView {
     }
   }
 
-  writeMetres(sweep, text) {
+  writeMetres(side, text) {
     const { step, reach } = this.grid;
-    const ground = -groundDepth(sweep);
-    const up = plumb(sweep);
+    const ground = groundHeight(side);
+    const up = plumb(side);
     const font = "11px system-ui, sans-serif";
     for (let radius = step; radius <= reach; radius += step) {
       for (const [x, y] of [[0, 1], [1, 0], [0, -1], [-1, 0]]) {
@@ -380,10 +386,11 @@ export class CloudView {
     return { side: this.shown[place], pixel: pixel & ~OTHER, other: (pixel & OTHER) !== 0 };
   }
 
-  /** Where a point is over the canvas, in the first side that is shown: x, y and its depth. */
+  /** Where a point of the sensor is over the canvas, in the first side that is shown: x, y and its depth. */
   place(point) {
     const area = this.area(0);
-    return project(this.camera.matrix(area.width / area.height), point, area);
+    const { pose } = this.sides[this.shown[0]];
+    return project(this.camera.matrix(area.width / area.height), moved(pose, point), area);
   }
 
   /** Red, green and blue at a place over the canvas, drawn anew. */
@@ -460,7 +467,7 @@ export class CloudView {
     else if (arrow !== undefined) camera.turn(arrow[0] * 0.06, arrow[1] * 0.06);
     else if (event.key === "+" || event.key === "=") camera.zoom(0.87);
     else if (event.key === "-") camera.zoom(1.15);
-    else if (view !== undefined) camera.look(view);
+    else if (view !== undefined) this.look(view);
     else return false;
     this.touch();
     return true;
@@ -471,6 +478,9 @@ export class CloudView {
 class Side {
   constructor() {
     this.sweep = null;
+    /** The pose of the sensor in the frame that is drawn, null in its own; and the segments in that frame. */
+    this.pose = null;
+    this.segments = [];
     this.legend = null;
     this.points = new Points();
     this.floats = new Float32Array(0);
@@ -545,25 +555,27 @@ function program(gl, vertex, fragment, uniforms) {
   return { program: made, ...Object.fromEntries(uniforms.map((name) => [name, gl.getUniformLocation(made, name)])) };
 }
 
-/** How deep the ground lies below the sensor, metres; a guess where the sweep does not know. */
-function groundDepth(sweep) {
-  return sweep === null || !(sweep.header.height_m > 0) ? 1.8 : sweep.header.height_m;
+/** How high the ground lies in the frame that is drawn, metres; a guess where the sweep does not know. */
+function groundHeight({ sweep, pose }) {
+  const depth = sweep === null || !(sweep.header.height_m > 0) ? 1.8 : sweep.header.height_m;
+  return (pose === null ? 0 : pose[2][3]) - depth;
 }
 
-/** The direction up from the ground in the axes of the sensor, which is rolled about y, then pitched about x. */
-function plumb(sweep) {
-  if (sweep === null) return [0, 0, 1];
+/** The direction up from the ground in the frame that is drawn; the sensor is rolled about y, then pitched about x. */
+function plumb({ sweep, pose }) {
+  if (sweep === null || pose !== null) return [0, 0, 1];
   const { pitch_rad: pitch, roll_rad: roll } = sweep.header;
   return [-Math.sin(roll) * Math.cos(pitch), Math.sin(pitch), Math.cos(roll) * Math.cos(pitch)];
 }
 
-/** The point of the ground below or above x, y of the sensor. */
+/** The point of the ground below or above x, y. */
 function level([upX, upY, upZ], x, y, height) {
   return [x, y, (height - upX * x - upY * y) / (Math.abs(upZ) > 0.2 ? upZ : 1)];
 }
 
 /** Gives each point of a side its colour, and what the legend says of it: colours, and ticks at 0 to 1. */
-function paint({ sweep, points, words }, by) {
+function paint(side, by) {
+  const { sweep, points, words } = side;
   const { count, labels, pixels } = points;
   const { rows } = sweep;
   const each = (colourAt) => {
@@ -588,7 +600,7 @@ function paint({ sweep, points, words }, by) {
     return { colours: palette.REFLECTIVITY, ticks: ticks([0, 50, 100, 175, 255], (value) => value / 255, "") };
   }
   if (by === "height") {
-    const height = heights(sweep, points);
+    const height = heights(side);
     const top = palette.roundUp(Math.max(1, mostly(height)));
     each((index) => palette.at(palette.HEIGHT, height[index] / top));
     return { colours: palette.HEIGHT, ticks: ticks([0, top / 2, top], (value) => value / top, " m") };
@@ -617,13 +629,14 @@ function paint({ sweep, points, words }, by) {
   return { swatches: [[palette.GROUND_FAINT, "ground"], [palette.UNLABELLED, "no label"], [palette.label(2), "a colour a segment"]] };
 }
 
-/** Heights of points over the ground, which is tilted as the sensor is, metres. */
-function heights(sweep, { position, count }) {
-  const depth = groundDepth(sweep);
-  const [x, y, z] = plumb(sweep);
+/** Heights of points over the ground, metres. */
+function heights(side) {
+  const { position, count } = side.points;
+  const ground = groundHeight(side);
+  const [x, y, z] = plumb(side);
   return Float32Array.from({ length: count }, (_, index) => {
     const at = 3 * index;
-    return x * position[at] + y * position[at + 1] + z * position[at + 2] + depth;
+    return x * position[at] + y * position[at + 1] + z * position[at + 2] - ground;
   });
 }
 
@@ -634,9 +647,9 @@ function mostly(values) {
   return some.length === 0 ? 0 : some[Math.floor((some.length - 1) * 0.98)];
 }
 
-/** The boxes of a sweep's segments. Those of walls and the like, which hold others, are faint. */
-function boxes(sweep) {
-  return sweep.segments.flatMap((segment) => {
+/** The boxes of segments. Those of walls and the like, which hold others, are faint. */
+function boxes(segments) {
+  return segments.flatMap((segment) => {
     const size = segment.max_m.map((most, axis) => most - segment.min_m[axis]);
     if (size[2] < 0.2) return [];
     const alpha = Math.max(...size) > 8 ? 40 : 150;
@@ -659,8 +672,9 @@ function outline({ min_m: least, max_m: most }, colour) {
 }
 
 /** The sensor: an arrow head that points forward. */
-function drawSensor(context, matrix, area) {
-  const corners = [[0, 0.9, 0], [0.5, -0.5, 0], [0, -0.25, 0], [-0.5, -0.5, 0]].map((at) => project(matrix, at, area));
+function drawSensor(context, matrix, area, pose) {
+  const arrow = [[0, 0.9, 0], [0.5, -0.5, 0], [0, -0.25, 0], [-0.5, -0.5, 0]];
+  const corners = arrow.map((at) => project(matrix, moved(pose, at), area));
   if (corners.some(([, , depth]) => depth < 0.1)) return;
   context.beginPath();
   corners.forEach(([x, y], index) => (index === 0 ? context.moveTo(x, y) : context.lineTo(x, y)));

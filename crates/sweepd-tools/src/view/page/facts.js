@@ -2,7 +2,8 @@
 
 import {
   BLANKED, CIRCULAR, CHOICE_LAST, CHOICE_STRONGEST, HEIGHT_ESTIMATED, KIND_LAST, LABEL_GROUND, LABEL_NONE, LOSS_ESTIMATED,
-  MODELS, MODE_DUAL, MODE_LAST, PARTIAL, RATE_UNSTABLE, REVERSED, STOPPED, TIME_GPS,
+  MODELS, MODE_DUAL, MODE_LAST, PARTIAL, RATE_UNSTABLE, REVERSED, STOPPED, TIME_GPS, moved,
+  movedSegment,
 } from "./sweep.js";
 import * as palette from "./palette.js";
 
@@ -41,7 +42,7 @@ export class Facts {
     this.values = new Map();
     for (const value of selection.querySelectorAll("[data-value]")) this.values.set(value.dataset.value, value);
     this.card = selection;
-    this.select(null);
+    this.select(null, null, null);
   }
 
   /** The facts of a sweep, of its stages, and those that the server counts. */
@@ -80,13 +81,14 @@ export class Facts {
     this.list.show({ ...known, ...server });
   }
 
-  /** What is pointed at: a pixel's return, a segment, or nothing. */
-  select(selection, sweep) {
+  /** What is pointed at: a pixel's return, a segment, or nothing; lengths in the frame of a pose. */
+  select(selection, sweep, pose) {
     const put = (key, text) => {
       const value = this.values.get(key);
       if (value.textContent !== text) value.textContent = text;
     };
-    const { found, segment, label } = selection ?? {};
+    const { found, label } = selection ?? {};
+    const segment = selection?.segment && movedSegment(pose, selection.segment);
     this.card.classList.toggle("empty", selection === null);
     this.card.classList.toggle("pinned", selection?.pinned ?? false);
     put("range", found ? `${found.range.toFixed(3)} m` : "–");
@@ -97,7 +99,7 @@ export class Facts {
     const kind = found?.kind === KIND_LAST ? "last" : "strongest";
     put("pixel", found ? `row ${found.row}, column ${found.column}, ${kind}` : "–");
     put("reflectivity", found ? `${found.reflectivity}` : "–");
-    put("place", found ? [...found.point].map((value) => signed(value, 3)).join("  ") + " m" : "–");
+    put("place", found ? [...moved(pose, found.point)].map((value) => signed(value, 3)).join("  ") + " m" : "–");
     const name = label === undefined ? "–" : label === LABEL_NONE ? "no label" : label === LABEL_GROUND ? "ground" : `segment ${label}`;
     put("label", found === null && selection !== null && segment === undefined ? "no return" : name);
     const size = segment && segment.max_m.map((most, axis) => (most - segment.min_m[axis]).toFixed(1)).join(" × ");

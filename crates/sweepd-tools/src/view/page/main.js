@@ -200,6 +200,11 @@ class Page {
     return this.sweeps[index] ?? this.sweeps[0];
   }
 
+  /** The pose of the sensor in the frame that was chosen, null in its own. */
+  poseOf(sweep) {
+    return sweep?.pose(this.cloud.options.frame) ?? null;
+  }
+
   show() {
     const mode = this.tuning.active ? this.tuning.mode : "before";
     const sides = { before: [0], after: [1], both: [0, 1] }[mode];
@@ -212,6 +217,7 @@ class Page {
     this.status.tuned = one === 1 && this.sweeps[1] !== null;
     this.wordsDue = true;
     this.legend();
+    find("unmounted").hidden = this.poseOf(this.shown) === null || this.shown.isMounted;
     // The pointer stays where it is, and other points come to lie under it.
     if (this.pointed?.by === "cloud" && this.cloud.pointer !== null) {
       const hit = this.cloud.pick(this.cloud.pointer.x, this.cloud.pointer.y);
@@ -268,7 +274,7 @@ class Page {
     this.wordsDue = false;
     this.wordsAt = now;
     this.plots.draw();
-    this.table.show(this.shown);
+    this.table.show(this.cloud.last.segments);
     this.table.mark(this.selection?.label ?? 0, this.pointed?.by === "table");
     find("count").textContent = String(this.shown?.segments.length ?? "");
     find("now").textContent = this.shown === null ? "" : this.words();
@@ -282,7 +288,7 @@ class Page {
   }
 
   legend() {
-    const { legend } = this.cloud;
+    const { legend } = this.cloud.last;
     const canvas = find("legend");
     const key = find("key");
     canvas.hidden = !legend?.colours;
@@ -331,7 +337,7 @@ class Page {
     this.cloud.mark(label ?? 0, point ?? null);
     this.images.mark(label ?? 0, row ?? null, column ?? null);
     this.table.mark(label ?? 0, pointed?.by === "table");
-    this.facts.select(this.selection, sweep);
+    this.facts.select(this.selection, sweep, this.poseOf(sweep));
     this.status.selection = this.selection === null ? null : {
       by: pointed.by, label, row: row ?? null, column: column ?? null, other: found?.other ?? false, range: found?.range ?? null,
       pinned: this.selection.pinned, point: point ? [...point] : null,
@@ -363,6 +369,11 @@ class Page {
     const colour = find("colour");
     for (const [name, words] of Object.entries(COLOURS)) colour.append(new Option(words, name));
     colour.addEventListener("change", () => this.set("colour", colour.value));
+    const frame = find("frame");
+    frame.addEventListener("change", () => {
+      this.cloud.set("frame", frame.value);
+      this.show();
+    });
     const size = find("size");
     size.addEventListener("input", () => this.set("size", size.valueAsNumber));
     for (const box of document.querySelectorAll("[data-option]")) {
@@ -446,8 +457,8 @@ class Page {
     const number = String(this.status.index ?? this.status.sequence ?? 0).padStart(6, "0");
     const name = `sweep_${number}.${what}`;
     if (what === "png") save.offer(await save.png(this.cloud, this.images, this.words()), name);
-    else if (what === "pcd") save.offer(save.pcd(this.shown), name);
-    else if (what === "csv") save.offer(save.csv(this.shown), name);
+    else if (what === "pcd") save.offer(save.pcd(this.shown, this.poseOf(this.shown)), name);
+    else if (what === "csv") save.offer(save.csv(this.shown, this.poseOf(this.shown)), name);
     else save.offer(this.shown.buffer, name);
   }
 
@@ -510,7 +521,7 @@ page = new Page();
 window.sweepd = Object.assign(page.status, {
   page,
   /** The shown sweep as `sweepd replay --csv` writes it. */
-  csv: () => save.csv(page.shown),
+  csv: () => save.csv(page.shown, page.poseOf(page.shown)),
   /** x, y, z of every return, in the order of `SweepRef::returns`. */
   positions: () => Array.from(page.cloud.sides[0].points.position.subarray(0, 3 * page.cloud.sides[0].points.count)),
   /** Where the middle of a pixel is over the images, in strip 0 or 1. */

@@ -1,7 +1,7 @@
 // What is shown, as files: the same PCD and CSV as `sweepd replay` writes, the sweep's bytes, and a picture.
 
 import * as palette from "./palette.js";
-import { KIND_LAST, KIND_SECOND_BLOCKS, MODE_DUAL, MODELS } from "./sweep.js";
+import { KIND_LAST, KIND_SECOND_BLOCKS, MODE_DUAL, MODELS, moved } from "./sweep.js";
 
 const POINT_BYTES = 26;
 const CSV_HEADER =
@@ -9,22 +9,22 @@ const CSV_HEADER =
 const RECORDS = 32;
 const DEGREES = 180 / Math.PI;
 
-/** All returns of a sweep with all their properties, in the order of the files. */
-export function* returns(sweep) {
+/** All returns of a sweep with all their properties, in the order of the files; points in the frame of a pose. */
+export function* returns(sweep, pose) {
   for (let column = 0; column < sweep.count; column++) {
     for (let row = 0; row < sweep.rows; row++) {
       for (const other of sweep.range2 === null ? [false] : [false, true]) {
         const found = sweep.at(row, column, other);
-        if (found !== null) yield found;
+        if (found !== null) yield { ...found, point: moved(pose, found.point) };
       }
     }
   }
 }
 
-export function csv(sweep) {
+export function csv(sweep, pose) {
   const lines = [CSV_HEADER];
   const { header, beams, columns } = sweep;
-  for (const found of returns(sweep)) {
+  for (const found of returns(sweep, pose)) {
     const { row, column, azimuth, elevation, range, point, reflectivity, label, afterNs } = found;
     const firing = sweep.firedIn(row, column);
     const { channel } = beams[row];
@@ -66,8 +66,8 @@ function four(value) {
   return words === "-0.0000" ? "0.0000" : words;
 }
 
-export function pcd(sweep) {
-  const all = [...returns(sweep)];
+export function pcd(sweep, pose) {
+  const all = [...returns(sweep, pose)];
   const head =
     "# .PCD v0.7 - Point Cloud Data file format\n" +
     `# time 0 is ${sweep.header.time_ns} ns since 1970\n` +

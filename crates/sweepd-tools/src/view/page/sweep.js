@@ -265,6 +265,18 @@ export class Sweep {
     this.rays = this.beams.map((beam) => new Ray(beam));
   }
 
+  /** The pose of the sensor in a frame, "sensor" or "robot": three rows of four numbers; null in its own, where nothing
+   *  moves. */
+  pose(frame) {
+    return frame === "robot" ? mountOf(this.header) : null;
+  }
+
+  /** Whether the header says how the sensor is mounted. */
+  get isMounted() {
+    const { position_m: at, yaw_rad: yaw, pitch_rad: pitch, roll_rad: roll } = this.header;
+    return [...at, yaw, pitch, roll].some((value) => value !== 0);
+  }
+
   /** Whether a bit of the flags is set. */
   has(flag) {
     return (this.header.flags & flag) !== 0;
@@ -375,6 +387,32 @@ export class Sweep {
   }
 }
 
+/** The sensor in the frame of the robot: it is rolled about its own y axis, pitched about x, turned about z, then moved. */
+function mountOf({ position_m: [right, forward, up], yaw_rad: yaw, pitch_rad: pitch, roll_rad: roll }) {
+  const [sr, cr, sp, cp] = [Math.sin(roll), Math.cos(roll), Math.sin(pitch), Math.cos(pitch)];
+  const [sy, cy] = [Math.sin(yaw), Math.cos(yaw)];
+  return [
+    [cy * cr - sy * sp * sr, -sy * cp, cy * sr + sy * sp * cr, right],
+    [sy * cr + cy * sp * sr, cy * cp, sy * sr - cy * sp * cr, forward],
+    [-cp * sr, sp, cp * cr, up],
+  ];
+}
+
+/** A point of the sensor in the frame of a pose. */
+export function moved(pose, point) {
+  if (pose === null) return point;
+  const [x, y, z] = point;
+  return pose.map(([a, b, c, d]) => a * x + b * y + c * z + d);
+}
+
+/** A segment in the frame of a pose: the box is that around its box. */
+export function movedSegment(pose, segment) {
+  if (pose === null) return segment;
+  const end = (pick) => pose.map((row) =>
+    [0, 1, 2].reduce((sum, axis) => sum + pick(row[axis] * segment.min_m[axis], row[axis] * segment.max_m[axis]), row[3]));
+  return { ...segment, min_m: end(Math.min), max_m: end(Math.max), centroid_m: moved(pose, segment.centroid_m) };
+}
+
 /** A bit of an entry of `Points.pixels`: the return is the other one of its pixel. */
 export const OTHER = 1 << 30;
 
@@ -385,6 +423,18 @@ export class Points {
     this.position = new Float32Array(0);
     this.labels = new Uint32Array(0);
     this.pixels = new Uint32Array(0);
+  }
+
+  /** Brings all points into the frame of a pose. */
+  move(pose) {
+    const { position } = this;
+    const [[xx, xy, xz, right], [yx, yy, yz, forward], [zx, zy, zz, up]] = pose;
+    for (let at = 0; at < 3 * this.count; at += 3) {
+      const [x, y, z] = [position[at], position[at + 1], position[at + 2]];
+      position[at] = xx * x + xy * y + xz * z + right;
+      position[at + 1] = yx * x + yy * y + yz * z + forward;
+      position[at + 2] = zx * x + zy * y + zz * z + up;
+    }
   }
 
   /** Makes room for `count` points; what was there is lost where it was too little. */

@@ -64,8 +64,8 @@ export class Table {
     this.order();
   }
 
-  show(sweep) {
-    this.segments = [...(sweep?.segments ?? [])];
+  show(segments) {
+    this.segments = [...segments];
     this.order();
   }
 
