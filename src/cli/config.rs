@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 use sweepd_core::sensor::ModelExt;
 
 use super::{CliError, complain};
-use crate::daemon::config::{Config, RecordConfig, SensorConfig, example, memory};
+use crate::daemon::config::{
+    Config, RecordConfig, SensorConfig, differing, example, memory, read_text,
+};
 use crate::publish::{SHARED_MEMORY, free_bytes, pool_sweeps};
 use crate::text::count_of;
 use sweepd_core::segment::Method;
@@ -54,14 +56,15 @@ fn print(text: &str) -> Result<(), CliError> {
 }
 
 fn check(file: &Path) -> Result<(), CliError> {
-    let config = Config::read(file)?;
+    let written = read_text(file)?;
+    let config = Config::parse(file, &written)?;
     let mut text = format!(
         "{}: {}\n",
         file.display(),
         count_of(config.sensors.len() as u64, "sensor")
     );
-    for sensor in &config.sensors {
-        describe_sensor(&mut text, sensor);
+    for (sensor, settings) in config.sensors.iter().zip(differing(&written)) {
+        describe_sensor(&mut text, sensor, &settings);
     }
     let (mut least, mut most) = (0, 0);
     for sensor in &config.sensors {
@@ -99,7 +102,7 @@ fn row(text: &mut String, name: &str, value: impl Display) {
     let _ = writeln!(text, "  {name:<13}  {value}");
 }
 
-fn describe_sensor(text: &mut String, sensor: &SensorConfig) {
+fn describe_sensor(text: &mut String, sensor: &SensorConfig, settings: &[String]) {
     let SensorConfig { name, address, .. } = sensor;
     let _ = writeln!(text, "\n{name}");
     let source = match sensor.source_port {
@@ -134,6 +137,11 @@ fn describe_sensor(text: &mut String, sensor: &SensorConfig) {
         mib(objects, objects)
     );
     row(text, "objects", objects);
+    // All that is not the default, by the names of its keys: what is described above and what is not.
+    for (number, setting) in settings.iter().enumerate() {
+        let name = if number == 0 { "settings" } else { "" };
+        row(text, name, setting);
+    }
 }
 
 fn listening(sensor: &SensorConfig) -> String {

@@ -56,21 +56,7 @@ impl Config {
     /// # Errors
     /// [`ConfigError`], with every line that is to blame.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
-        let bytes = crate::files::read(path, MAX_FILE_LEN).map_err(|source| ConfigError::Read {
-            path: path.to_owned(),
-            source,
-        })?;
-        let text = String::from_utf8(bytes).map_err(|error| {
-            let at = error.utf8_error().valid_up_to();
-            let text = String::from_utf8_lossy(error.as_bytes());
-            let problem = Problem::new(
-                at..at + char::REPLACEMENT_CHARACTER.len_utf8(),
-                "this is no text",
-                "expected UTF-8",
-            );
-            Problems::new(path.display().to_string(), &text, vec![problem])
-        })?;
-        Self::parse(path, &text)
+        Self::parse(path, &read_text(path)?)
     }
 
     /// The configuration in a text; `path` is what errors call it, and what it names is relative to
@@ -84,6 +70,37 @@ impl Config {
         let config = file::read(text, folder).and_then(|(file, found)| check::check(file, found));
         config.map_err(|problems| Problems::new(path.display().to_string(), text, problems).into())
     }
+}
+
+/// The text of a configuration file.
+///
+/// # Errors
+/// [`ConfigError`]: it cannot be read, or is no text.
+pub fn read_text(path: &Path) -> Result<String, ConfigError> {
+    let bytes = crate::files::read(path, MAX_FILE_LEN).map_err(|source| ConfigError::Read {
+        path: path.to_owned(),
+        source,
+    })?;
+    String::from_utf8(bytes).map_err(|error| {
+        let at = error.utf8_error().valid_up_to();
+        let text = String::from_utf8_lossy(error.as_bytes());
+        let problem = Problem::new(
+            at..at + char::REPLACEMENT_CHARACTER.len_utf8(),
+            "this is no text",
+            "expected UTF-8",
+        );
+        Problems::new(path.display().to_string(), &text, vec![problem]).into()
+    })
+}
+
+/// What a configuration without faults sets, sensor by sensor, to something else than the default,
+/// as it is written there: `mount.z_m = 1.5`. Name and address are left out.
+pub fn differing(text: &str) -> Vec<Vec<String>> {
+    let Ok((file, _)) = file::read(text, Path::new("")) else {
+        return Vec::new();
+    };
+    let sensors = file.sensors.iter();
+    sensors.map(|sensor| sensor.differing(text)).collect()
 }
 
 /// What is not of one sensor.

@@ -57,6 +57,11 @@ fn check_says_what_will_run_and_what_memory_it_takes() {
         "mount          x 0, y 0, z 1.5 m; roll 0, pitch -3, yaw 0 degrees; 1.2 m above ground",
         "segments       method slope, 10 points at least, 0 to 80 m",
         "service        sweepd/rear/sweep, 4 consumers at most",
+        "settings       model = \"hdl64e-s3\"\n                 returns = \"dual\"\n                 max_consumers = 2\n                 \
+         segment.max_range_m = 80\n",
+        "settings       port = 2369\n",
+        "                 cut_azimuth_deg = 90\n                 mount.z_m = 1.5\n                 mount.height_m = 1.2\n                 \
+         mount.pitch_deg = -3\n",
         "health         off",
         &recording,
     ] {

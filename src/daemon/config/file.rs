@@ -134,6 +134,38 @@ impl<'t> Written<'t, SensorConfig> {
         sensor
     }
 
+    /// What is set to something else than the default, as `text`, the file, has it.
+    pub fn differing(&self, text: &str) -> Vec<String> {
+        let default = SensorConfig::default();
+        let mut lines = Vec::new();
+        for ((table, name), value) in &self.given {
+            let mut alone = default.clone();
+            let is_default = match form(table, name) {
+                Some(Form::Required(_)) | None => true,
+                // What is in it is another matter.
+                Some(Form::File(_)) => false,
+                Some(Form::Segmenter) => {
+                    let setting = SETTINGS.iter().find(|setting| setting.key == *name);
+                    let value = number(value.get_ref());
+                    setting.zip(value).is_none_or(|(setting, value)| {
+                        setting.set(&mut alone.pipeline.segment, value);
+                        setting.is_same(&default.pipeline.segment, &alone.pipeline.segment)
+                    })
+                }
+                Some(form) => {
+                    let is_set = form.set(&mut alone, value.get_ref(), Path::new(""));
+                    is_set.is_err() || is_same(&default, &alone)
+                }
+            };
+            if !is_default {
+                let dot = if table.is_empty() { "" } else { "." };
+                let value = text.get(value.span()).unwrap_or_default();
+                lines.push(format!("{table}{dot}{name} = {value}"));
+            }
+        }
+        lines
+    }
+
     /// Numbers of [`SETTINGS`].
     fn read_numbers(
         &mut self,
@@ -162,6 +194,20 @@ impl<'t> Written<'t, SensorConfig> {
             self.take((table, setting.key), value, found, reader);
         }
     }
+}
+
+/// The form of a key of a sensor.
+fn form(table: &str, name: &str) -> Option<&'static Form<SensorConfig>> {
+    let table = SENSOR_TABLES.iter().find(|one| one.name == table)?;
+    let key = table.keys.iter().find(|key| key.name == name)?;
+    Some(&key.form)
+}
+
+/// Whether two sensors have the same, but for the segmenter's numbers.
+fn is_same(one: &SensorConfig, other: &SensorConfig) -> bool {
+    let keys = SENSOR_TABLES.iter().flat_map(|table| table.keys);
+    let mut rules = keys.flat_map(|key| key.rules);
+    rules.all(|rule| (rule.is_same)(one, other))
 }
 
 impl<'t, C: Default> Written<'t, C> {
