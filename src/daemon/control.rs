@@ -19,7 +19,8 @@ use super::health::{self, View};
 use super::http::{self, Http};
 use super::losses::{SensorAddress, Tally};
 use super::notify::{Notifier, Pulse, heartbeat_period};
-use super::record::server::ControlServer;
+use super::record::protocol::SegmentSettings;
+use super::record::server::{ControlServer, Told};
 use super::record::{Recordings, socket_path};
 use super::runtime::{DaemonError, PortStatus, Runtime, SensorStatus};
 use super::sensor::Event;
@@ -85,12 +86,14 @@ pub fn run<S: Sharing>(
         let Some(runtime) = started.await? else {
             return Ok(());
         };
-        let server = ControlServer::start(&socket_path(root), recordings.event_sender());
+        let told = Told::default();
+        let events = recordings.event_sender();
+        let server = ControlServer::start(&socket_path(root), events, Arc::clone(&told));
         // No reason not to run.
         let server = server
             .inspect_err(|error| warn!("`sweepd record --from` is not served: {error}"))
             .ok();
-        Control::new(config, runtime, recordings, reread, root, begun)
+        Control::new(config, runtime, recordings, reread, told, root, begun)
             .serve(sharing, signals, http, server)
             .await
     })
@@ -179,6 +182,8 @@ struct Control {
     runtime: Runtime,
     recordings: Recordings,
     reread: Reread,
+    /// What the control socket tells of the sensors.
+    told: Told,
     /// When tokio's clock began.
     begun: Instant,
     watchers: Vec<Watcher>,
@@ -203,6 +208,7 @@ impl Control {
         runtime: Runtime,
         recordings: Recordings,
         reread: Reread,
+        told: Told,
         root: &Path,
         begun: Instant,
     ) -> Self {
@@ -232,11 +238,13 @@ impl Control {
         let view = Arc::new(Mutex::new(view));
         let notifier = Notifier::default();
         let renewed = vec![0; runtime.sensors.len()];
+        tell_settings(&told, &config);
         Self {
             config,
             runtime,
             recordings,
             reread,
+            told,
             begun,
             watchers,
             pulse,
@@ -473,6 +481,7 @@ impl Control {
 
     fn apply(&mut self, config: Config) {
         let old = std::mem::replace(&mut self.config, config);
+        tell_settings(&self.told, &self.config);
         for (index, (new, old)) in self.config.sensors.iter().zip(&old.sensors).enumerate() {
             if new.pipeline != old.pipeline {
                 self.runtime.reconfigure(index, new.pipeline.clone());
@@ -486,6 +495,15 @@ impl Control {
         if self.config.record.as_ref() != self.recordings.config() || self.recordings.has_failed() {
             self.recordings.configure(self.config.record.as_ref());
         }
+    }
+}
+
+/// Has the control socket tell what the sensors are segmented with.
+fn tell_settings(told: &Told, config: &Config) {
+    let mut told = told.lock().unwrap_or_else(PoisonError::into_inner);
+    for sensor in &config.sensors {
+        let settings = SegmentSettings::of(&sensor.pipeline.segment);
+        told.insert(sensor.name.clone(), settings);
     }
 }
 

@@ -1,14 +1,17 @@
-//! The end of `sweepd record --from`.
+//! The end of `sweepd record --from`, and of `sweepd view`, which asks for settings.
 
-use std::io;
+use std::io::{self, BufRead, BufReader, Read, Write};
 use std::os::unix::fs::MetadataExt;
+use std::os::unix::net;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use tokio::net::UnixStream;
 use tokio::time::timeout;
 
-use super::protocol::{Connection, Reply, Request};
+use super::protocol::{
+    Connection, MAX_LEN, Reply, Request, SegmentSettings, SettingsRequest, VERSION,
+};
 use sweepd_client::host::{own_uid, user_name};
 
 /// A daemon that sends nothing for longer does not answer.
@@ -63,6 +66,27 @@ pub enum RemoteRecordError {
         /// What the system says.
         source: io::Error,
     },
+}
+
+/// What the daemon that listens at `socket` segments a sensor with. Waits for a second at most.
+///
+/// # Errors
+/// What the system says; `InvalidData` where the daemon does not say it.
+pub fn segment_settings(socket: &Path, sensor: &str) -> io::Result<SegmentSettings> {
+    let mut stream = net::UnixStream::connect(socket)?;
+    stream.set_read_timeout(Some(Duration::from_secs(1)))?;
+    let request = SettingsRequest {
+        version: VERSION,
+        settings_of: sensor.to_owned(),
+    };
+    writeln!(stream, "{}", serde_json::to_string(&request)?)?;
+    let mut line = Vec::new();
+    let mut answer = BufReader::new(stream.take(MAX_LEN as u64));
+    answer.read_until(b'\n', &mut line)?;
+    match serde_json::from_slice(&line)? {
+        Reply::Settings(settings) => Ok(settings),
+        _ => Err(io::ErrorKind::InvalidData.into()),
+    }
 }
 
 /// A connection to a daemon that records for this program. When it is dropped, the recording ends.

@@ -2,9 +2,10 @@
 //!
 //! ```text
 //! client -> daemon   a Request; then anything, or the end of the connection, ends the recording
-//! daemon -> client   Reply::Refused, or Reply::Begun, Reply::Progress four times a second, and Reply::Ended
+//! daemon -> client   Reply::Refused, or Reply::Settings where that was asked for, or Reply::Begun, Reply::Progress four times a second, and Reply::Ended
 //! ```
 
+use std::collections::BTreeMap;
 use std::io;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
@@ -16,11 +17,12 @@ use tokio::net::UnixStream;
 use crate::admission::{DiscoveredSensors, Refusal, RefusalCounts, Sender};
 use crate::files::sequence::{Rotation, Written};
 use crate::recording::RecordCounts;
+use sweepd_core::segment::{self, SETTINGS, Setting};
 
 /// Increased whenever a message changes.
 pub const VERSION: u32 = 3;
 /// Longest message, bytes: the summary of 64 senders takes 10 KB, a path at most 4 KB.
-const MAX_LEN: usize = 64 << 10;
+pub(super) const MAX_LEN: usize = 64 << 10;
 
 /// What a client wants to be recorded.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -66,9 +68,43 @@ impl Request {
     }
 }
 
+/// Asks what a sensor is segmented with; a document of its own, instead of a [`Request`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SettingsRequest {
+    /// [`VERSION`].
+    pub version: u32,
+    /// The sensor, by its name in the configuration.
+    pub settings_of: String,
+}
+
+/// What a sensor is segmented with.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SegmentSettings {
+    /// How ground is found: `slope` or `paper`.
+    pub method: String,
+    /// The numbers of [`SETTINGS`] by their keys, in the units of people; `None` where one is not set.
+    pub settings: BTreeMap<String, Option<f64>>,
+    /// Whether there is a mask, which is not told.
+    pub masked: bool,
+}
+
+impl SegmentSettings {
+    /// Those of a configuration.
+    pub fn of(config: &segment::Config) -> Self {
+        let number = |setting: &Setting| (setting.key.to_owned(), setting.get(config));
+        Self {
+            method: format!("{:?}", config.method).to_lowercase(),
+            settings: SETTINGS.iter().map(number).collect(),
+            masked: config.mask.is_some(),
+        }
+    }
+}
+
 /// What the daemon answers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Reply {
+    /// What a sensor is segmented with.
+    Settings(SegmentSettings),
     /// Nothing is recorded: why, and what to do about it.
     Refused(String),
     /// What the sensor sends from now on is recorded, to this file first.

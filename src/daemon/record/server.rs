@@ -1,14 +1,15 @@
-//! The control socket: `sweepd record --from` asks for recordings here. Only the daemon's own user
+//! The control socket: `sweepd record --from` asks for recordings here, `sweepd view` for settings. Only the daemon's own user
 //! may open it. It is served on the control thread, which waits for no client: at most
 //! [`MAX_ON_DEMAND`] at a time, messages of bounded length, and what a client does not take is left
 //! out.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::io;
 use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
 use std::os::unix::net;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use tokio::net::{UnixListener, UnixStream};
@@ -17,7 +18,7 @@ use tokio::sync::mpsc::UnboundedSender;
 use tokio::task::JoinHandle;
 use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
 
-use super::protocol::{Connection, Reply, Request};
+use super::protocol::{Connection, Reply, Request, SegmentSettings, SettingsRequest};
 use super::recording::Client;
 use super::{Event, MAX_ON_DEMAND, too_many};
 use sweepd_client::host::{own_uid, user_name};
@@ -51,6 +52,9 @@ pub enum SocketError {
     },
 }
 
+/// What each sensor is segmented with, by its name.
+pub type Told = Arc<Mutex<BTreeMap<String, SegmentSettings>>>;
+
 /// The server of the control socket.
 #[derive(Debug)]
 pub struct ControlServer {
@@ -65,14 +69,18 @@ impl ControlServer {
     ///
     /// # Errors
     /// [`SocketError`].
-    pub fn start(path: &Path, events: UnboundedSender<Event>) -> Result<Self, SocketError> {
+    pub fn start(
+        path: &Path,
+        events: UnboundedSender<Event>,
+        told: Told,
+    ) -> Result<Self, SocketError> {
         let mut socket = Socket::listen(path)?;
         let places = Arc::new(Semaphore::new(MAX_ON_DEMAND));
         let free = Arc::clone(&places);
         let task = tokio::spawn(async move {
             loop {
                 match timeout(LOOK_EVERY, socket.listener.accept()).await {
-                    Ok(Ok((stream, _))) => admit(stream, &free, &events),
+                    Ok(Ok((stream, _))) => admit(stream, &free, &events, &told),
                     // Out of file descriptors, most likely: they come back.
                     Ok(Err(_)) => sleep(LOOK_EVERY).await,
                     Err(_) => socket.restore(),
@@ -92,7 +100,12 @@ impl ControlServer {
 }
 
 /// Has a client served, if it may be.
-fn admit(stream: UnixStream, places: &Arc<Semaphore>, events: &UnboundedSender<Event>) {
+fn admit(
+    stream: UnixStream,
+    places: &Arc<Semaphore>,
+    events: &UnboundedSender<Event>,
+    told: &Told,
+) {
     let own = own_uid();
     let is_own = stream.peer_cred().is_ok_and(|peer| peer.uid() == own);
     let refusal = match Arc::clone(places).try_acquire_owned() {
@@ -102,10 +115,10 @@ fn admit(stream: UnixStream, places: &Arc<Semaphore>, events: &UnboundedSender<E
         ),
         Err(_) => too_many(),
         Ok(place) => {
-            let events = events.clone();
+            let (events, told) = (events.clone(), Arc::clone(told));
             tokio::spawn(async move {
                 // A client that breaks off is no news: its recording has ended.
-                let _ = converse(Connection::new(stream), &events).await;
+                let _ = converse(Connection::new(stream), &events, &told).await;
                 drop(place);
             });
             return;
@@ -192,12 +205,28 @@ fn prepare(listener: net::UnixListener, path: &Path) -> io::Result<(UnixListener
     Ok((UnixListener::from_std(listener)?, inode))
 }
 
+/// The settings of a sensor.
+fn settings_reply(sensor: &str, told: &Told) -> Reply {
+    let told = told.lock().unwrap_or_else(PoisonError::into_inner);
+    match told.get(sensor) {
+        Some(settings) => Reply::Settings(settings.clone()),
+        None => Reply::Refused(format!("no sensor is called {sensor}")),
+    }
+}
+
 /// Serves one client: its request, the progress of its recording, and the end.
-async fn converse(mut connection: Connection, events: &UnboundedSender<Event>) -> io::Result<()> {
+async fn converse(
+    mut connection: Connection,
+    events: &UnboundedSender<Event>,
+    told: &Told,
+) -> io::Result<()> {
     let line = match timeout(PATIENCE, connection.receive()).await {
         Ok(Ok(Some(line))) => line,
         _ => return Ok(()),
     };
+    if let Ok(SettingsRequest { settings_of, .. }) = serde_json::from_slice(&line) {
+        return connection.send_if_ready(&settings_reply(&settings_of, told));
+    }
     let (client, answer, mut ended) = Client::new();
     let answer = match Request::parse(&line) {
         Ok(request) => {

@@ -8,15 +8,16 @@ use std::sync::mpsc::{self, Receiver};
 use tokio::net::UnixStream;
 use tokio::time::{sleep, timeout};
 
-use super::client::{RemoteRecordError, RemoteRecording};
-use super::protocol::{Connection, Ended, Reply, VERSION};
-use super::server::{ControlServer, SocketError};
+use super::client::{RemoteRecordError, RemoteRecording, segment_settings};
+use super::protocol::{Connection, Ended, Reply, SegmentSettings, VERSION};
+use super::server::{ControlServer, SocketError, Told};
 use super::*;
 use crate::admission::Refusal;
 use crate::files::WriteError;
 use crate::files::sequence::Rotation;
 use crate::input::Capture;
 use std::io;
+use sweepd_core::segment::{self, SETTINGS};
 
 const SOON: Duration = Duration::from_secs(10);
 
@@ -78,7 +79,14 @@ impl Daemon {
             });
         }
         recordings.connect(vec!["roof".to_owned(), "rear".to_owned()], links);
-        let server = ControlServer::start(&socket_path(&folder), recordings.event_sender());
+        let told = Told::default();
+        let segment = segment::Config {
+            min_points: 33,
+            ..segment::Config::default()
+        };
+        let settings = SegmentSettings::of(&segment);
+        told.lock().unwrap().insert("roof".to_owned(), settings);
+        let server = ControlServer::start(&socket_path(&folder), recordings.event_sender(), told);
         Self {
             folder,
             recordings,
@@ -258,6 +266,7 @@ async fn the_end_of_the_daemon_ends_recordings_and_tells_their_clients() {
         let server = ControlServer::start(
             &daemon.folder.join("other"),
             daemon.recordings.event_sender(),
+            Told::default(),
         );
         std::mem::replace(&mut daemon.server, server.unwrap())
             .finish()
@@ -424,13 +433,33 @@ async fn clients_are_few_and_hostile_ones_keep_nobody_waiting() {
 }
 
 #[tokio::test(flavor = "current_thread")]
+async fn the_settings_of_a_sensor_are_told() {
+    let mut daemon = Daemon::start("settings");
+    let ask = |sensor: &'static str| {
+        let path = socket_path(&daemon.folder);
+        tokio::task::spawn_blocking(move || segment_settings(&path, sensor))
+    };
+    let (told, none) = (ask("roof"), ask("attic"));
+    let told = daemon.during(told).await.unwrap().unwrap();
+    assert_eq!(
+        (&told.method[..], told.masked, told.settings.len()),
+        ("slope", false, SETTINGS.len())
+    );
+    assert_eq!(
+        (told.settings["min_points"], told.settings["height_m"]),
+        (Some(33.0), None)
+    );
+    assert!(daemon.during(none).await.unwrap().is_err());
+}
+
+#[tokio::test(flavor = "current_thread")]
 async fn the_socket_is_its_owners_and_comes_back_when_it_is_deleted() {
     use std::os::unix::fs::PermissionsExt;
     let mut daemon = Daemon::start("socket");
     let path = socket_path(&daemon.folder);
     let mode = path.metadata().unwrap().permissions().mode();
     assert_eq!(mode & 0o777, 0o600);
-    let taken = ControlServer::start(&path, daemon.recordings.event_sender());
+    let taken = ControlServer::start(&path, daemon.recordings.event_sender(), Told::default());
     assert!(matches!(taken, Err(SocketError::Taken { .. })));
     std::fs::remove_file(&path).unwrap();
     let begun = Instant::now();
@@ -444,11 +473,12 @@ async fn the_socket_is_its_owners_and_comes_back_when_it_is_deleted() {
     let unready = daemon.folder.join("left.unready");
     drop(std::os::unix::net::UnixListener::bind(&left).unwrap());
     drop(std::os::unix::net::UnixListener::bind(&unready).unwrap());
-    ControlServer::start(&left, daemon.recordings.event_sender()).unwrap();
+    ControlServer::start(&left, daemon.recordings.event_sender(), Told::default()).unwrap();
     assert!(!unready.exists());
     let file = daemon.folder.join("file");
     std::fs::write(&file, "mine").unwrap();
-    let error = ControlServer::start(&file, daemon.recordings.event_sender()).unwrap_err();
+    let error =
+        ControlServer::start(&file, daemon.recordings.event_sender(), Told::default()).unwrap_err();
     assert!(
         error.to_string().contains("something else is there"),
         "{error}"
