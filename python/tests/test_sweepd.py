@@ -138,7 +138,7 @@ class Replayed(unittest.TestCase):
         with tempfile.TemporaryDirectory() as folder:
             run(PROGRAM, "replay", DUAL, "--csv", folder, "--segments", f"{folder}/segments.csv", "--return", "strongest")
             sweep = next(sweepd.replay(DUAL, return_="strongest"))
-            with open(f"{folder}/sweep_000000.csv") as table:
+            with open(f"{folder}/sweep_{sweep.sequence:06}.csv") as table:
                 rows = list(csv.DictReader(table))
             first, other = sweep.to_pandas(), sweep.to_pandas(other=True)
             made = pandas.concat([first, other]).sort_values(["column", "row"], kind="stable")
@@ -157,7 +157,7 @@ class Replayed(unittest.TestCase):
             run(PROGRAM, "replay", DUAL, "--segments", f"{folder}/expected.csv")
             made, expected = (pandas.read_csv(f"{folder}/{name}.csv") for name in ("made", "expected"))
             self.assertEqual(len(made), len(expected))
-            for name in made.columns.drop("seq"):
+            for name in made.columns:
                 if name == "sensor":
                     self.assertTrue((made[name] == expected[name]).all())
                 else:

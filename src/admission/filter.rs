@@ -25,6 +25,41 @@ enum Selection {
 }
 
 impl SensorFilter {
+    /// Selects what comes from an address; where ports are given, from the one and to the other.
+    pub fn new(ip: IpAddr, source_port: Option<u16>, destination_port: Option<u16>) -> Self {
+        Self(Selection::Address {
+            ip,
+            source_port,
+            destination_port,
+        })
+    }
+
+    /// Selects what both select; `None` where that is nothing.
+    pub fn and(&self, other: &Self) -> Option<Self> {
+        match (&self.0, &other.0) {
+            (
+                &Selection::Address {
+                    ip,
+                    source_port,
+                    destination_port,
+                },
+                &Selection::Address {
+                    ip: other_ip,
+                    source_port: other_source,
+                    destination_port: other_destination,
+                },
+            ) => {
+                let is_possible = ip == other_ip
+                    && agree(source_port, other_source)
+                    && agree(destination_port, other_destination);
+                let source_port = source_port.or(other_source);
+                let destination_port = destination_port.or(other_destination);
+                is_possible.then(|| Self::new(ip, source_port, destination_port))
+            }
+            _ => (self == other).then(|| self.clone()),
+        }
+    }
+
     /// Whether a sensor with this source that sends data to this port is selected.
     pub fn matches(&self, source: SocketAddr, destination_port: u16) -> bool {
         match self.0 {
@@ -51,6 +86,11 @@ impl SensorFilter {
     pub fn matches_ip(&self, address: IpAddr) -> bool {
         matches!(self.0, Selection::Address { ip, .. } if ip == address.to_canonical())
     }
+}
+
+/// Whether two ports, each of which may be any, can be one.
+fn agree(one: Option<u16>, other: Option<u16>) -> bool {
+    one.is_none() || other.is_none() || one == other
 }
 
 impl std::fmt::Display for SensorFilter {
@@ -80,11 +120,18 @@ impl std::fmt::Display for SensorFilter {
 )]
 pub struct SensorFilterError(String);
 
+impl SensorFilterError {
+    /// Of this text.
+    pub fn new(text: &str) -> Self {
+        Self(text.to_owned())
+    }
+}
+
 impl FromStr for SensorFilter {
     type Err = SensorFilterError;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        Self::parse(text).ok_or_else(|| SensorFilterError(text.to_owned()))
+        Self::parse(text).ok_or_else(|| SensorFilterError::new(text))
     }
 }
 
@@ -128,6 +175,23 @@ mod tests {
             "/left/velodyne_packets",
         ] {
             assert_eq!(text.parse::<SensorFilter>().unwrap().to_string(), text);
+        }
+    }
+
+    #[test]
+    fn two_filters_select_what_both_do() {
+        for (one, other, both) in [
+            ("10.0.0.1", "10.0.0.1:5", Some("10.0.0.1:5")),
+            ("10.0.0.1:5>6", "10.0.0.1:5", Some("10.0.0.1:5>6")),
+            ("10.0.0.1:4", "10.0.0.1:5", None),
+            ("10.0.0.1", "10.0.0.2", None),
+            ("/left", "/left", Some("/left")),
+            ("/left", "10.0.0.1", None),
+        ] {
+            let [one, other] = [one, other].map(|text| text.parse::<SensorFilter>().unwrap());
+            let found = one.and(&other);
+            assert_eq!(found, other.and(&one));
+            assert_eq!(found.map(|found| found.to_string()).as_deref(), both);
         }
     }
 

@@ -3,16 +3,17 @@
 use std::io::{self, Write as _};
 use std::path::PathBuf;
 
-use super::options::{SensorOptions, within};
+use super::options::{SegmentOptions, SensorOptions, within};
 use super::output::ForceOptions;
+use super::sections::Sections;
 use super::{CliError, complain};
-use crate::admission::Sender;
 use crate::cure::{Dialect, explain};
 use crate::files;
 use crate::files::output;
 use crate::input::{Capture, Placed};
 use crate::streams::{Stream, Streams};
 use crate::text::{count_of, grouped};
+use sweepd_core::assemble::Removal;
 use sweepd_core::buffers::{HeapBuffers, Memory};
 use sweepd_core::pipeline::{Config, Event, Labels, Options, Pipeline};
 use sweepd_core::segment::Mask;
@@ -94,18 +95,17 @@ pub fn run(args: &Args) -> Result<(), CliError> {
 /// What each sensor of the capture saw.
 fn read(args: &Args) -> Result<Vec<Views>, CliError> {
     let mut capture = Capture::open(&args.capture)?;
-    let calibration = args.sensor.read_calibration()?;
-    let mut streams = Streams::new(args.sensor.sensor.clone());
+    let sections = Sections::read(&args.sensor, &SegmentOptions::default())?;
+    let mut streams = Streams::new(sections.filters());
     while let Some(placed) = capture.next_placed()? {
         let _ = streams.take(&placed, |_, sender| {
-            Views::new(
-                sender,
-                Config {
-                    model: args.sensor.model,
-                    calibration: calibration.clone(),
-                    ..Config::default()
-                },
-            )
+            let section = &sections.all()[sections.number_of(sender)];
+            let config = Config {
+                // The body is to be seen.
+                removal: Removal::default(),
+                ..section.sensor.pipeline.clone()
+            };
+            Views::new(sections.name_of(sender), config)
         })?;
     }
     streams.end();
@@ -168,7 +168,7 @@ impl Stream for Views {
 }
 
 impl Views {
-    fn new(sender: &Sender, config: Config) -> Result<Self, CliError> {
+    fn new(name: &str, config: Config) -> Result<Self, CliError> {
         let options = Options {
             // None are needed.
             labels: Labels::Elsewhere,
@@ -177,7 +177,7 @@ impl Views {
         let pipeline = Pipeline::with_options("", config, options)
             .map_err(|error| CliError::Usage(error.to_string()))?;
         Ok(Self {
-            name: sender.name.clone(),
+            name: name.to_owned(),
             pipeline,
             memory: Memory::default(),
             fault: None,

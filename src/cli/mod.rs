@@ -19,6 +19,7 @@ pub mod publish;
 pub mod record;
 pub mod replay;
 pub mod run;
+pub mod sections;
 pub mod send;
 pub mod sensor;
 pub mod signals;

@@ -3,19 +3,21 @@
 use std::net::Ipv4Addr;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
+use std::str::FromStr;
 
 use clap::ValueEnum;
 
-use crate::admission::SensorFilter;
+use crate::admission::{SensorFilter, SensorFilterError};
 use crate::cli::{CliError, complain};
 use crate::files;
+use crate::publish::is_sensor_name;
 use crate::suggest::nearest;
-use sweepd_core::assemble::{BodyBox, Removal};
+use sweepd_core::assemble::BodyBox;
 use sweepd_core::pipeline;
 use sweepd_core::segment::settings::{REMOVED, Removed, Table, Unit};
 use sweepd_core::segment::{self, SETTINGS, Setting};
+use sweepd_core::sensor::Model;
 use sweepd_core::sensor::model::UnknownModel;
-use sweepd_core::sensor::{Calibration, Model};
 use sweepd_core::sweep::layout::ReturnChoice;
 use sweepd_core::wire::{DATA_PORT, POSITION_PORT};
 
@@ -64,10 +66,48 @@ pub fn within(
     }
 }
 
+/// The daemon's configuration, and which of its sensors: see [`Sections`](super::sections::Sections).
+#[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Sensor")]
+pub struct ConfigOptions {
+    /// Do as the daemon does with this configuration: its sensors are told by their addresses.
+    /// Options beside it override it
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Only sensors at this address: IP or IP:PORT; of a bag, /TOPIC; with --config, also the name of
+    /// a sensor in FILE, whose settings those at a given address get; may be given several times
+    #[arg(long = "sensor", value_name = "ADDR|NAME")]
+    pub sensors: Vec<SensorChoice>,
+}
+
+/// A value of `--sensor`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum SensorChoice {
+    /// Who sends.
+    Sender(SensorFilter),
+    /// A name in the configuration.
+    Name(String),
+}
+
+impl FromStr for SensorChoice {
+    type Err = SensorFilterError;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        match text.parse() {
+            Ok(filter) => Ok(Self::Sender(filter)),
+            Err(_) if is_sensor_name(text) => Ok(Self::Name(text.to_owned())),
+            Err(error) => Err(error),
+        }
+    }
+}
+
 /// What the sensor is and how its packets are read.
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Sensor")]
 pub struct SensorOptions {
+    /// Of which configuration, and which of its sensors.
+    #[command(flatten)]
+    pub config: ConfigOptions,
     /// Model: vlp16, puck-lite, puck-hires, vlp32c (VLP-32MR too), hdl32e, hdl64e-s2 (S2.1 too),
     /// hdl64e-s3 or vls128 [default: detected from the packets: factory bytes, heads, turn and
     /// period]
@@ -77,21 +117,17 @@ pub struct SensorOptions {
     /// the one in its packets]
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
-    /// Only sensors at this address: IP or IP:PORT; of a bag, /TOPIC; may be given several times
-    #[arg(long, value_name = "ADDR")]
-    pub sensor: Vec<SensorFilter>,
-    /// Azimuth at which sweeps are cut, degrees clockwise from the sensor's +y
+    /// Azimuth at which sweeps are cut, degrees clockwise from the sensor's +y [default: 0]
     #[arg(
         long,
         value_name = "DEG",
-        default_value = "0",
         value_parser = within(-360.0..=360.0, "degrees"),
         allow_negative_numbers = true
     )]
-    pub cut_azimuth: f64,
-    /// Which return is segmented when the sensor sends two
-    #[arg(long = "return", value_name = "WHICH", value_enum, default_value_t = WhichReturn::Nearest)]
-    pub which_return: WhichReturn,
+    pub cut_azimuth: Option<f64>,
+    /// Which return is segmented when the sensor sends two [default: nearest]
+    #[arg(long = "return", value_name = "WHICH", value_enum)]
+    pub which_return: Option<WhichReturn>,
     /// Take UTC from the valid sentence of a GPS receiver though the sensor does not report the
     /// pulse (PPS) as locked: an HDL-32E cannot. Without a pulse wired to it, times may be off by
     /// up to 3 s
@@ -120,12 +156,12 @@ pub enum GroundMethod {
 }
 
 /// How sweeps are segmented.
-#[derive(Clone, Debug, clap::Args)]
+#[derive(Clone, Debug, Default, clap::Args)]
 #[command(next_help_heading = "Segmentation")]
 pub struct SegmentOptions {
-    /// How ground is found, and what is joined
-    #[arg(long, value_enum, default_value_t = GroundMethod::Slope)]
-    pub method: GroundMethod,
+    /// How ground is found, and what is joined [default: slope]
+    #[arg(long, value_enum)]
+    pub method: Option<GroundMethod>,
     #[command(flatten)]
     numbers: Numbers,
     /// The robot's own body: a picture as high as the sensor has rows, azimuth 0 to 360 from left
@@ -157,7 +193,7 @@ enum Removable {
 }
 
 /// The values of [`SETTINGS`] that were given as options, and what was of [`REMOVED`].
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 struct Numbers {
     given: Vec<(&'static Setting, f64)>,
     removed: Vec<&'static Removed>,
@@ -225,99 +261,106 @@ fn removed_argument(removed: &'static Removed) -> clap::Arg {
 }
 
 impl SensorOptions {
-    /// The calibration file, read.
+    /// Whether any is given.
+    pub fn is_given(&self) -> bool {
+        self.config.config.is_some()
+            || !self.config.sensors.is_empty()
+            || self.model.is_some()
+            || self.calibration.is_some()
+            || self.cut_azimuth.is_some()
+            || self.which_return.is_some()
+            || self.gps_without_pps
+    }
+
+    /// Puts what is given over another configuration.
     ///
     /// # Errors
     /// [`CliError::Calibration`].
-    pub fn read_calibration(&self) -> Result<Option<Calibration>, CliError> {
-        match &self.calibration {
-            Some(path) => Ok(Some(files::calibration(path)?)),
-            None => Ok(None),
+    pub fn apply(&self, to: &mut pipeline::Config) -> Result<(), CliError> {
+        to.model = self.model.or(to.model);
+        if let Some(path) = &self.calibration {
+            to.calibration = Some(files::calibration(path)?);
         }
-    }
-
-    fn return_choice(&self) -> ReturnChoice {
-        match self.which_return {
-            WhichReturn::Nearest => ReturnChoice::Nearest,
-            WhichReturn::Strongest => ReturnChoice::Strongest,
-            WhichReturn::Last => ReturnChoice::Last,
+        if let Some(degrees) = self.cut_azimuth {
+            to.cut_azimuth_rad = degrees.to_radians();
         }
+        if let Some(which) = self.which_return {
+            to.return_choice = match which {
+                WhichReturn::Nearest => ReturnChoice::Nearest,
+                WhichReturn::Strongest => ReturnChoice::Strongest,
+                WhichReturn::Last => ReturnChoice::Last,
+            };
+        }
+        to.gps_without_pps |= self.gps_without_pps;
+        Ok(())
     }
-}
-
-/// The pipeline of these options.
-///
-/// # Errors
-/// [`CliError`]: a file that cannot be read, an invalid value.
-pub fn pipeline_config(
-    sensor: &SensorOptions,
-    segment: &SegmentOptions,
-) -> Result<pipeline::Config, CliError> {
-    Ok(pipeline::Config {
-        model: sensor.model,
-        calibration: sensor.read_calibration()?,
-        cut_azimuth_rad: sensor.cut_azimuth.to_radians(),
-        return_choice: sensor.return_choice(),
-        segment: segment.config()?,
-        removal: segment.removal()?,
-        gps_without_pps: sensor.gps_without_pps,
-        ..pipeline::Config::default()
-    })
 }
 
 impl SegmentOptions {
-    /// Which returns are removed.
-    ///
-    /// # Errors
-    /// [`CliError::Usage`]: nothing says what is to be removed.
-    pub fn removal(&self) -> Result<Removal, CliError> {
-        let removal = Removal {
-            masked: self.remove.contains(&Removable::Mask),
-            out_of_range: self.remove.contains(&Removable::Range),
-            boxes: self.boxes.clone(),
-        };
-        let has_limit = (self.numbers.given.iter())
-            .any(|(setting, _)| setting.table == Table::Segment && setting.unit == Unit::Metres);
-        if removal.masked && self.mask.is_none() {
-            return Err(CliError::Usage(
-                "--remove mask needs --mask FILE.png".to_owned(),
-            ));
-        }
-        if removal.out_of_range && !has_limit {
-            return Err(CliError::Usage(
-                "--remove range needs --min-range or --max-range".to_owned(),
-            ));
-        }
-        Ok(removal)
-    }
-
-    /// The segmenter's configuration.
+    /// Puts what is given over the settings of another segmenter.
     ///
     /// # Errors
     /// [`CliError`]: a mask that cannot be read, an invalid value.
-    pub fn config(&self) -> Result<segment::Config, CliError> {
-        let mask = self.mask.as_deref().map(files::mask).transpose();
-        let mask = mask.map_err(|error| CliError::Usage(error.to_string()))?;
-        let mut config = segment::Config {
-            method: match self.method {
+    pub fn apply_to_segmenter(&self, to: &mut segment::Config) -> Result<(), CliError> {
+        if let Some(method) = self.method {
+            to.method = match method {
                 GroundMethod::Slope => segment::Method::Slope,
                 GroundMethod::Paper => segment::Method::Paper,
-            },
-            mask,
-            ..segment::Config::default()
-        };
-        for &(setting, value) in &self.numbers.given {
-            setting.set(&mut config, value);
+            };
         }
+        if let Some(path) = &self.mask {
+            let mask = files::mask(path).map_err(|error| CliError::Usage(error.to_string()))?;
+            to.mask = Some(mask);
+        }
+        for &(setting, value) in &self.numbers.given {
+            setting.set(to, value);
+        }
+        to.check()
+            .map_err(|error| CliError::Usage(error.to_string()))
+    }
+
+    /// The same for a whole pipeline, with what is removed. Warns of a mount without ground.
+    ///
+    /// # Errors
+    /// Those of [`Self::apply_to_segmenter`]; nothing says what is to be removed.
+    pub fn apply(&self, to: &mut pipeline::Config) -> Result<(), CliError> {
+        self.apply_to_segmenter(&mut to.segment)?;
+        // That of a configuration was warned of when it was read.
+        let is_mounted = (self.numbers.given.iter()).any(|(given, _)| given.table == Table::Mount);
+        if let Some(warning) = to.segment.mount.warning().filter(|_| is_mounted) {
+            complain("warning", warning);
+        }
+        self.apply_removal(to)
+    }
+
+    fn apply_removal(&self, to: &mut pipeline::Config) -> Result<(), CliError> {
+        let pipeline::Config {
+            segment, removal, ..
+        } = to;
+        removal.masked |= self.remove.contains(&Removable::Mask);
+        removal.out_of_range |= self.remove.contains(&Removable::Range);
+        if !self.boxes.is_empty() {
+            removal.boxes.clone_from(&self.boxes);
+        }
+        let why = if removal.masked && segment.mask.is_none() {
+            "--remove mask needs --mask FILE.png"
+        } else if removal.out_of_range && !segment.is_range_limited() {
+            "--remove range needs --min-range or --max-range"
+        } else {
+            return Ok(());
+        };
+        Err(CliError::Usage(why.to_owned()))
+    }
+
+    /// Whether returns are to be removed.
+    pub fn removes(&self) -> bool {
+        !self.remove.is_empty() || !self.boxes.is_empty()
+    }
+
+    /// Warns of options that do nothing any more.
+    pub fn warn(&self) {
         for removed in &self.numbers.removed {
             complain("warning", removed.warning(&format!("--{}", removed.option)));
         }
-        if let Err(error) = config.check() {
-            return Err(CliError::Usage(error.to_string()));
-        }
-        if let Some(warning) = config.mount.warning() {
-            complain("warning", warning);
-        }
-        Ok(config)
     }
 }

@@ -25,13 +25,13 @@ pub struct OutputOptions {
     /// One JSON object a sweep on standard output; a replay ends with one that holds the summary
     #[arg(long)]
     pub json: bool,
-    /// A line per return: DIR/sweep_000000.csv, ...; each sensor but the first in its own folder
+    /// A line per return: DIR/sweep_000001.csv, ...; each sensor but the first in its own folder
     #[arg(long, value_name = "DIR")]
     pub csv: Option<PathBuf>,
-    /// Point clouds for PCL, Open3D and CloudCompare: DIR/sweep_000000.pcd, ...
+    /// Point clouds for PCL, Open3D and CloudCompare: DIR/sweep_000001.pcd, ...
     #[arg(long, value_name = "DIR")]
     pub pcd: Option<PathBuf>,
-    /// A picture a sweep, of ranges, labels and the view from above: DIR/sweep_000000.png, ...
+    /// A picture a sweep, of ranges, labels and the view from above: DIR/sweep_000001.png, ...
     #[arg(long, value_name = "DIR")]
     pub png: Option<PathBuf>,
     /// All sweeps as messages of ROS 2, for Foxglove and ros2 bag: points, boxes of the segments, and
@@ -143,8 +143,11 @@ fn frames() -> impl TypedValueParser<Value = Frame> {
 #[derive(Debug, Serialize)]
 struct SweepLine<'a> {
     sensor: &'a str,
+    source: &'a str,
     model: &'a str,
     return_mode: &'a str,
+    sequence: u64,
+    /// The number's older name.
     seq: u64,
     partial: bool,
     rows: usize,
@@ -235,8 +238,6 @@ pub struct SweepId {
     pub sensor: usize,
     /// Model of its sensor.
     pub model: Model,
-    /// Sweeps that were written of this sensor before.
-    pub seq: u64,
 }
 
 /// Makes the files of sweeps, on any thread.
@@ -263,7 +264,7 @@ impl Encoder {
     pub fn encode(&self, id: SweepId, sweep: SweepRef<'_>) -> EncodedFiles {
         let title = Title {
             model: id.model.name(),
-            sweep_number: id.seq,
+            sweep_number: sweep.header.sequence,
         };
         let formats = self.formats.iter();
         EncodedFiles {
@@ -364,26 +365,29 @@ impl Outputs {
         files: EncodedFiles,
         latency_us: Option<LatencyUs>,
     ) -> Result<(), CliError> {
-        let SweepId { sensor, model, seq } = id;
+        let SweepId { sensor, model } = id;
+        let sequence = sweep.header.sequence;
         let exporters = self.exporters(sensor, sweep.header.sensor())?;
         for (exporter, file) in exporters.iter_mut().zip(files.files) {
-            exporter.write(seq, file)?;
+            exporter.write(sequence, file)?;
         }
         if let Some((mcap, messages)) = self.mcap.as_mut().zip(files.messages) {
             mcap.write(&messages)?;
         }
         if let Some(segments) = &mut self.segments {
-            segments.sweep(sweep, seq)?;
+            segments.sweep(sweep)?;
         }
         if let Some((raw, bytes)) = self.raw.as_mut().zip(files.raw) {
             raw.write(|out| out.write_all(bytes.as_ref()))?;
         }
         let timing = self.timing;
         self.line(|| SweepLine {
-            sensor: sweep.header.sensor(),
+            sensor: sweep.header.sensor_name(),
+            source: sweep.header.sensor(),
             model: model.name(),
             return_mode: sweep.header.return_mode().name(),
-            seq,
+            sequence,
+            seq: sequence,
             partial: sweep.header.has(flags::PARTIAL),
             rows: sweep.rows(),
             columns: sweep.columns.len(),

@@ -95,7 +95,13 @@ impl<'a> Replay<'a> {
     /// The summary, and an error when something could not be read or decoded.
     fn conclude(self, capture: &Capture, read: Result<(), CaptureError>) -> Result<(), CliError> {
         let Playback {
-            setup: Setup { args, progress, .. },
+            setup:
+                Setup {
+                    args,
+                    progress,
+                    sections,
+                    ..
+                },
             streams: Streams { all, sensors, .. },
             others_before,
             ..
@@ -118,7 +124,7 @@ impl<'a> Replay<'a> {
             summary::print(other_traffic, &reports, timing).map_err(CliError::Stdout)?;
         }
         let is_read = messages::show_damage(capture, read);
-        let is_complete = messages::show_missing(args, capture, &sensors, &reports);
+        let is_complete = messages::show_missing(args, &sections, capture, &sensors, &reports);
         let is_decoded = all.iter().all(|track| track.fault.is_none());
         if is_read && is_complete && is_decoded {
             Ok(())

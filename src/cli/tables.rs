@@ -40,9 +40,9 @@ impl SegmentTables {
     ///
     /// # Errors
     /// [`CliError`]: what the disk or the reader says.
-    pub fn sweep(&mut self, sweep: SweepRef<'_>, seq: u64) -> Result<(), CliError> {
+    pub fn sweep(&mut self, sweep: SweepRef<'_>) -> Result<(), CliError> {
         let Self { out, format, frame } = self;
-        out.write(|mut out| write_segments(sweep, seq, *frame, *format, &mut out))
+        out.write(|mut out| write_segments(sweep, *frame, *format, &mut out))
     }
 
     /// Gives the file its name.

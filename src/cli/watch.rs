@@ -208,11 +208,7 @@ impl Watch<'_> {
             );
             return Err(CliError::Usage(text));
         };
-        let id = SweepId {
-            sensor: 0,
-            model,
-            seq: header.sequence,
-        };
+        let id = SweepId { sensor: 0, model };
         let files = self.outputs.encoder().encode(id, sweep);
         self.outputs.sweep(id, sweep, files, Some(latency_us))
     }

@@ -47,8 +47,8 @@ enum Value<'a> {
     Decimal(f64),
 }
 
-/// Writes a line for each segment of a sweep, in the order of their labels. `seq` is the number of
-/// the sweep.
+/// Writes a line for each segment of a sweep, in the order of their labels. `sensor` is its name, or
+/// the source of its packets where it has none; `seq` is the number of the sweep.
 ///
 /// Lengths are metres in the frame, angles degrees, both with four decimals; `time_ns` is that of the
 /// sweep's first shot. `points` counts the pixels with a return in the segmented plane, `nearest_m`
@@ -60,7 +60,6 @@ enum Value<'a> {
 /// Those of `out`.
 pub fn write_segments(
     sweep: SweepRef<'_>,
-    seq: u64,
     frame: Frame,
     format: TableFormat,
     out: &mut impl Write,
@@ -68,24 +67,18 @@ pub fn write_segments(
     let mut text = Vec::new();
     let pose = frame.pose(Pose::of_mount(sweep.header));
     for segment in sweep.segments {
-        let values = values(&sweep, seq, segment, pose.as_ref());
-        push_line(&mut text, &values, format);
+        push_line(&mut text, &values(&sweep, segment, pose.as_ref()), format);
     }
     out.write_all(&text)
 }
 
 /// In the order of [`HEADER`].
-fn values<'a>(
-    sweep: &SweepRef<'a>,
-    seq: u64,
-    segment: &Segment,
-    pose: Option<&Pose>,
-) -> [Value<'a>; 21] {
+fn values<'a>(sweep: &SweepRef<'a>, segment: &Segment, pose: Option<&Pose>) -> [Value<'a>; 21] {
     let centroid = segment.centroid_in(pose);
     let [least, greatest] = segment.box_in(pose);
     [
-        Value::Text(sweep.header.sensor()),
-        Value::Count(seq),
+        Value::Text(sweep.header.sensor_name()),
+        Value::Count(sweep.header.sequence),
         Value::Time(sweep.header.time_ns),
         Value::Count(segment.label.into()),
         Value::Count(segment.points.into()),
@@ -157,7 +150,7 @@ mod tests {
 
     fn written(sweep: SweepRef<'_>, frame: Frame, format: TableFormat) -> String {
         let mut out = Vec::new();
-        write_segments(sweep, 7, frame, format, &mut out).unwrap();
+        write_segments(sweep, frame, format, &mut out).unwrap();
         String::from_utf8(out).unwrap()
     }
 
@@ -165,7 +158,7 @@ mod tests {
     fn scene() -> Scene {
         let mut scene = two_beams();
         scene.fill(|sweep| {
-            sweep.header.segments = 1;
+            (sweep.header.segments, sweep.header.sequence) = (1, 7);
             let segment = &mut sweep.segments[0];
             (segment.label, segment.points, segment.nearest_m) = (2, 31, 5.25);
             (segment.min_m, segment.max_m) = ([-1.0, 5.0, -0.5], [-0.25, 6.0, 1.5]);

@@ -136,7 +136,7 @@ fn sweeps_of_a_former_run_are_refused_or_all_replaced() {
         .filter(|name| name.ends_with(".csv"))
         .collect();
     expected.extend(kept.map(str::to_owned));
-    expected.extend((0..3).map(|number| format!("sweep_{number:06}.png")));
+    expected.extend((1..4).map(|number| format!("sweep_{number:06}.png")));
     expected.sort();
     assert_eq!(names, expected);
     // Another format in the same folder is no former run of this one.

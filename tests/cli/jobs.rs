@@ -95,7 +95,7 @@ fn a_reader_of_a_pipe_has_each_sweep_when_it_is_whole() {
     let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
     // All but the last packets: the pipe stays open.
     stdin.write_all(&bytes[..bytes.len() - 5000]).unwrap();
-    for sweep in 0..2 {
+    for sweep in 1..3 {
         let line = lines.next().unwrap().unwrap();
         assert!(line.contains(&format!("\"seq\":{sweep},")), "{line}");
     }

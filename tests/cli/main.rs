@@ -7,6 +7,7 @@ mod calib;
 #[path = "../common/mod.rs"]
 mod common;
 mod config;
+mod configured;
 mod errors;
 mod existing;
 mod inputs;

@@ -37,7 +37,6 @@ fn each_segment_is_told_once_and_most_before_their_sweep() {
         }
         told.entry(sequence).or_default().push(line);
     }
-    // Here no sweep is skipped, so that `seq` is the number of the sweep.
     let segments = lines(&["--segments", "-", "--partial"]);
     let mut found = 0;
     for segment in &segments {

@@ -15,10 +15,12 @@ use zerocopy::{FromBytes, IntoBytes};
 use crate::common::same::same;
 use crate::{Folder, fixture, made, replay, sweepd, sweeps};
 
-const KEYS: [&str; 16] = [
+const KEYS: [&str; 18] = [
     "sensor",
+    "source",
     "model",
     "return_mode",
+    "sequence",
     "seq",
     "partial",
     "rows",
@@ -65,7 +67,7 @@ fn a_sweep_in_json_has_exactly_its_keys() {
     assert!(lines[5].starts_with("{\"summary\":{"));
     let stdout = replay(&capture, &["--json", "--no-timing"]).done();
     let lines: Vec<&str> = stdout.lines().collect();
-    assert_eq!((lines.len(), keys(lines[0])), (4, KEYS[..15].to_vec()));
+    assert_eq!((lines.len(), keys(lines[0])), (4, KEYS[..17].to_vec()));
     assert!(!stdout.contains("stage_us"));
     let sweep = &sweeps(&stdout)[1];
     for (key, value) in [
@@ -77,9 +79,64 @@ fn a_sweep_in_json_has_exactly_its_keys() {
     }
     assert_eq!(
         (&sweep["seq"], &sweep["partial"], &sweep["rows"]),
-        (&1.into(), &false.into(), &16.into())
+        (&2.into(), &false.into(), &16.into())
     );
     assert_eq!(sweep["time_source"], "gps");
+}
+
+/// The number in a header is the one number: of files, of lines, of objects, and whether or not
+/// partial sweeps are left out.
+#[test]
+fn a_sweep_has_one_number_everywhere() {
+    let folder = Folder::new("numbers");
+    let capture = fixture("street_vlp16_losses.pcap");
+    let mut by_time = std::collections::BTreeMap::new();
+    for partial in [&[][..], &["--partial"]] {
+        let dir = folder.path(&format!("out{}", partial.len()));
+        let raw = folder.path(&format!("{}.raw", partial.len()));
+        let outputs = [
+            "--json",
+            "--csv",
+            dir.to_str().unwrap(),
+            "--raw",
+            raw.to_str().unwrap(),
+        ];
+        let lines = sweeps(&replay(&capture, &[&outputs[..], partial].concat()).done());
+        let lines = &lines[..lines.len() - 1];
+        let segments = replay(&capture, &[&["--segments=-"], partial].concat()).done();
+        let bytes = std::fs::read(&raw).unwrap();
+        let mut at = 0;
+        let mut names = Vec::new();
+        for line in lines {
+            let (header, _) = Header::read_from_prefix(&bytes[at..]).unwrap();
+            at += header.total_bytes as usize;
+            assert_eq!(
+                (&line["sequence"], &line["seq"]),
+                (&header.sequence.into(), &header.sequence.into())
+            );
+            assert_eq!(line["time_ns"], header.time_ns);
+            let number = by_time.entry(header.time_ns).or_insert(header.sequence);
+            assert_eq!(*number, header.sequence);
+            let of_sweep = format!(
+                "\"seq\":{},\"time_ns\":{},",
+                header.sequence, header.time_ns
+            );
+            assert!(segments.contains(&of_sweep), "{of_sweep}");
+            names.push(format!("sweep_{:06}.csv", header.sequence));
+        }
+        let files: Vec<String> = folder
+            .files(&format!("out{}", partial.len()))
+            .into_iter()
+            .map(|(name, _)| name)
+            .collect();
+        assert_eq!(files, names);
+    }
+    let told = sweeps(&replay(&capture, &["--objects"]).stdout);
+    let last = told.iter().filter(|line| line["last"] == true);
+    let numbers: Vec<u64> = last
+        .map(|line| line["sequence"].as_u64().unwrap())
+        .collect();
+    assert_eq!(numbers, by_time.into_values().collect::<Vec<_>>());
 }
 
 #[test]
@@ -305,7 +362,7 @@ fn in_frame(folder: &Folder, name: &str, options: &[&str]) -> ([Vec<Lengths>; 3]
             .map(|line| line.map(|field| field.parse().unwrap()).collect())
             .collect()
     };
-    let points = lengths(&dir.join("sweep_000000.csv"), 9..12);
+    let points = lengths(&dir.join("sweep_000001.csv"), 9..12);
     let segments = lengths(&table, 5..14);
     let told = replay(
         &capture,

@@ -105,7 +105,7 @@ def main():
     for number, file in enumerate(files):
         with open(file) as text:
             lines = list(csv.DictReader(text))
-        own = [line for line in segments if int(line["seq"]) == number]
+        own = [line for line in segments if int(line["seq"]) == int(file.stem.removeprefix("sweep_"))]
         for cloud, markers in zip(clouds[number], boxes[number]):
             check_points(cloud, lines, rows)
             check_boxes(markers.markers, own, cloud)

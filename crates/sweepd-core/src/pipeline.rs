@@ -76,6 +76,8 @@ pub struct Options {
     pub unit: Option<Unit>,
     /// When sweeps get their labels.
     pub labels: Labels,
+    /// Number of the first sweep: 0, or what another pipeline of the sensor came to.
+    pub first_sequence: u64,
 }
 
 /// When sweeps get their labels: these are the same.
@@ -100,6 +102,7 @@ impl Default for Options {
             clock: untimed,
             unit: None,
             labels: Labels::default(),
+            first_sequence: 0,
         }
     }
 }
@@ -166,8 +169,12 @@ impl Pipeline {
         options: Options,
     ) -> Result<Self, ConfigError> {
         let segmenter = Segmenter::with_level(config.segmenter(), options.level)?;
+        let handover = Handover {
+            sweeps: options.first_sequence,
+            ..Handover::default()
+        };
         Ok(Self {
-            state: State::detecting(config.model, options.unit, Handover::default()),
+            state: State::detecting(config.model, options.unit, handover),
             setup: Setup {
                 config,
                 sensor: sensor.to_owned(),

@@ -4,13 +4,14 @@ use std::path::PathBuf;
 
 use crate::cli::CliError;
 use crate::cli::jobs::JobOptions;
-use crate::cli::options::{SegmentOptions, SensorOptions, pipeline_config};
+use crate::cli::options::{SegmentOptions, SensorOptions};
 use crate::cli::output::OutputOptions;
 use crate::cli::play::PlayOptions;
 use crate::cli::publish::PublishOptions;
+use crate::cli::sections::Sections;
 use crate::cure::{Dialect, explain};
 use sweepd_client::host::monotonic_ns;
-use sweepd_core::pipeline::{Config, Fault};
+use sweepd_core::pipeline::Fault;
 
 /// Options of `sweepd replay`.
 #[derive(Debug, clap::Args)]
@@ -18,6 +19,7 @@ use sweepd_core::pipeline::{Config, Fault};
 Examples:
   sweepd replay pcap_fixtures/street_vlp16.pcap.gz --png out
   sweepd replay drive.pcapng --sensor 192.168.1.201 --json > sweeps.jsonl
+  sweepd replay drive.pcap --config sweepd.toml --sensor roof
   sweepd replay drive.pcap --start 10 --end 20 --csv returns --partial
   sweepd replay drive.pcap --to 127.0.0.1:2368 --loop
   sweepd replay drive.pcap --publish roof --loop")]
@@ -46,9 +48,9 @@ pub struct Args {
 }
 
 impl Args {
-    /// The pipeline that each sensor gets.
-    pub(super) fn pipeline_config(&self) -> Result<Config, CliError> {
-        pipeline_config(&self.sensor, &self.segment)
+    /// How each sensor is decoded and segmented.
+    pub(super) fn sections(&self) -> Result<Sections, CliError> {
+        Sections::read(&self.sensor, &self.segment)
     }
 
     /// Whether standard output is for programs.

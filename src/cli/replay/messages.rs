@@ -4,6 +4,7 @@ use super::args::Args;
 use super::summary::SensorReport;
 use crate::admission::DiscoveredSensors;
 use crate::cli::complain;
+use crate::cli::sections::Sections;
 use crate::input::{Capture, CaptureError};
 use crate::text::count_of;
 
@@ -32,11 +33,12 @@ pub(super) fn show_damage(capture: &Capture, read: Result<(), CaptureError>) -> 
 /// Shows what was asked for and is not there. Returns whether all is there.
 pub(super) fn show_missing(
     args: &Args,
+    sections: &Sections,
     capture: &Capture,
     sensors: &DiscoveredSensors,
     reports: &[SensorReport<'_>],
 ) -> bool {
-    let missing = missing(args, capture, sensors, reports);
+    let missing = missing(args, sections, capture, sensors, reports);
     for message in &missing {
         complain("error", format_args!("{}: {message}", capture.name()));
     }
@@ -45,18 +47,12 @@ pub(super) fn show_missing(
 
 fn missing(
     args: &Args,
+    sections: &Sections,
     capture: &Capture,
     sensors: &DiscoveredSensors,
     reports: &[SensorReport<'_>],
 ) -> Vec<String> {
-    const LISTS: &str = "`sweepd inspect` lists those that are there";
-    let mut missing = Vec::new();
-    for filter in &args.sensor.sensor {
-        let mut senders = sensors.senders().iter();
-        if !senders.any(|sender| sender.is_selected_by(filter)) {
-            missing.push(format!("no sensor {filter} in it; {LISTS}"));
-        }
-    }
+    let mut missing = sections.missing(sensors.senders());
     let part = args.play.part();
     if reports.is_empty() && missing.is_empty() {
         let counts = capture.counts();
@@ -85,7 +81,9 @@ fn missing(
         .collect();
     if !reports.is_empty() && !unshared.is_empty() {
         let names = unshared.join(", ");
-        missing.push(format!("no sensor in it for {names}; {LISTS}"));
+        missing.push(format!(
+            "no sensor in it for {names}; `sweepd inspect` lists those that are there"
+        ));
     }
     missing
 }

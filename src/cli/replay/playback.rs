@@ -51,10 +51,12 @@ impl<'a> Playback<'a> {
         let is_shared = args.publish.is_wanted();
         let is_live = args.play.speed(is_shared) != Speed::Max || is_shared || args.objects;
         let jobs = if is_live { 1 } else { args.jobs.count() };
+        let sections = args.sections()?;
         Ok(Self {
+            streams: Streams::new(sections.filters()),
             setup: Setup {
                 args,
-                config: args.pipeline_config()?,
+                sections,
                 progress: progress::bar(args),
                 jobs,
                 labels: match jobs {
@@ -65,7 +67,6 @@ impl<'a> Playback<'a> {
                 job: Arc::default(),
             },
             sender: args.play.destination().map(Sender::new),
-            streams: Streams::new(args.sensor.sensor.clone()),
             others_before: 0,
         })
     }
@@ -74,24 +75,27 @@ impl<'a> Playback<'a> {
     pub(super) fn finishers(&self, outputs: &Outputs) -> Result<Vec<Finisher>, CliError> {
         let mut finishers = Vec::new();
         for _ in 0..self.setup.jobs {
-            let segmenter = match self.setup.jobs {
-                1 => None,
-                _ => Some(self.segmenter()?),
-            };
             finishers.push(Finisher {
-                segmenter,
+                segmenters: match self.setup.jobs {
+                    1 => Vec::new(),
+                    _ => self.segmenters()?,
+                },
                 encoder: outputs.encoder(),
             });
         }
         Ok(finishers)
     }
 
-    /// Labels what pipelines decoded.
-    fn segmenter(&self) -> Result<TimedSegmenter, CliError> {
-        let segmenter = Segmenter::new(self.setup.config.segmenter())
-            .map_err(|error| CliError::Usage(error.to_string()))?
-            .with_heights_in_headers();
-        Ok(TimedSegmenter::new(segmenter, self.setup.args.clock()))
+    /// They label what pipelines decoded, by number of the section.
+    fn segmenters(&self) -> Result<Vec<TimedSegmenter>, CliError> {
+        let mut segmenters = Vec::new();
+        for section in self.setup.sections.all() {
+            let segmenter = Segmenter::new(section.sensor.pipeline.segmenter())
+                .map_err(|error| CliError::Usage(error.to_string()))?
+                .with_heights_in_headers();
+            segmenters.push(TimedSegmenter::new(segmenter, self.setup.args.clock()));
+        }
+        Ok(segmenters)
     }
 
     /// Begins to play the capture.
@@ -182,9 +186,9 @@ impl<'a> Playback<'a> {
     /// Gives a datagram to its sensors, and sends it on.
     fn datagram(&mut self, placed: &Placed<'_>, when: When) -> Result<(), CliError> {
         let setup = &self.setup;
-        let admitted = self.streams.take(placed, |index, sensor| {
-            Track::new(setup, index, &sensor.name)
-        })?;
+        let admitted = self
+            .streams
+            .take(placed, |index, sensor| Track::new(setup, index, sensor))?;
         if when == When::Within
             && let Some(sender) = &mut self.sender
         {

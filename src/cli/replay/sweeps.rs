@@ -16,6 +16,8 @@ use sweepd_core::sweep::{SweepMut, SweepRef};
 /// A sweep that is whole.
 pub(super) struct Sweep {
     pub(super) id: SweepId,
+    /// Number of its section.
+    pub(super) section: usize,
     /// Whether it is written, or only summed up and shared.
     pub(super) is_emitted: bool,
     /// When its round began.
@@ -48,14 +50,14 @@ impl Buffers for JobBuffers {
 
 /// One job: the part of the work on a sweep that the sweeps before it have no say in.
 pub(super) struct Finisher {
-    /// `None` where pipelines segment.
-    pub(super) segmenter: Option<TimedSegmenter>,
+    /// By number of the section; none where pipelines segment.
+    pub(super) segmenters: Vec<TimedSegmenter>,
     pub(super) encoder: Encoder,
 }
 
 impl Finisher {
     pub(super) fn finish(&mut self, mut sweep: Sweep) -> FinishedSweep {
-        if let Some(segmenter) = &mut self.segmenter
+        if let Some(segmenter) = self.segmenters.get_mut(sweep.section)
             && let Ok(mut unlabelled) = SweepMut::open(sweep.buffer.as_mut())
         {
             segmenter.segment(&mut unlabelled);

@@ -8,9 +8,11 @@ use indicatif::ProgressBar;
 use super::args::Args;
 use super::summary::{SensorReport, Sums};
 use super::sweeps::{JobBuffers, Sweep};
+use crate::admission::Sender;
 use crate::cli::objects::ObjectLines;
 use crate::cli::output::SweepId;
 use crate::cli::play::When;
+use crate::cli::sections::Sections;
 use crate::cli::{CliError, complain};
 use crate::input::Placed;
 use crate::publish::Slot;
@@ -18,20 +20,18 @@ use crate::streams::{SteadyTime, Stream};
 use crate::text::count_of;
 use sweepd_client::host::realtime_ns;
 use sweepd_core::buffers::Memory;
-use sweepd_core::pipeline::{
-    Arrival, Config, Counts, Event, Fault, Labels, Notice, Options, Pipeline,
-};
-use sweepd_core::segment::objects::MAX_WIDTH_RAD;
+use sweepd_core::pipeline::{Arrival, Counts, Event, Fault, Labels, Notice, Options, Pipeline};
 use sweepd_core::sensor::compare::Difference;
 use sweepd_core::sensor::detect::Detection;
+use sweepd_core::sweep::Pose;
+use sweepd_core::sweep::SweepMut;
 use sweepd_core::sweep::layout::flags;
-use sweepd_core::sweep::{Pose, SweepRef};
 use sweepd_core::wire::{Content, Packet};
 
 /// What the tracks of all sensors begin with.
 pub(super) struct Setup<'a> {
     pub(super) args: &'a Args,
-    pub(super) config: Config,
+    pub(super) sections: Sections,
     pub(super) progress: ProgressBar,
     pub(super) jobs: usize,
     pub(super) labels: Labels,
@@ -45,6 +45,10 @@ pub(super) struct Track<'a> {
     progress: ProgressBar,
     /// Number of the sensor.
     index: usize,
+    /// Number of its section.
+    section: usize,
+    /// The source of its packets, and what it is called: its name in the configuration, if it has one.
+    source: String,
     name: String,
     mount: Pose,
     pipeline: Pipeline,
@@ -54,7 +58,8 @@ pub(super) struct Track<'a> {
     run_ns: i64,
     /// Of the last packet; the pipeline forgets it when another sensor takes the place of this one.
     detection: Option<Detection>,
-    emitted: u64,
+    /// Number of the next sweep.
+    sequence: u64,
     /// Of the rounds before.
     past: Counts,
     /// Prints objects, if that was asked for.
@@ -70,18 +75,20 @@ pub(super) struct Track<'a> {
 
 impl<'a> Track<'a> {
     /// A new sensor.
-    pub(super) fn new(setup: &Setup<'a>, index: usize, name: &str) -> Result<Self, CliError> {
+    pub(super) fn new(setup: &Setup<'a>, index: usize, sender: &Sender) -> Result<Self, CliError> {
         let args = setup.args;
         let mut buffers = Vec::new();
         for _ in 0..setup.jobs {
-            buffers.push(args.publish.loans(index, name)?);
+            buffers.push(args.publish.loans(index, &sender.name)?);
         }
         let job = Arc::clone(&setup.job);
-        let pipeline = pipeline(setup, name)?;
+        let section = setup.sections.number_of(sender);
+        let name = setup.sections.name_of(sender);
+        let pipeline = pipeline(setup, section, &sender.name, 0)?;
         if let Some(note) = args.publish.note(index, name) {
             setup.progress.suspend(|| complain("note", note));
         }
-        let mount = setup.config.mount();
+        let mount = setup.sections.all()[section].sensor.pipeline.mount();
         if let Some(note) = args.output.mount_note(name, &mount, args.objects) {
             setup.progress.suspend(|| complain("note", note));
         }
@@ -90,12 +97,14 @@ impl<'a> Track<'a> {
             mount,
             progress: setup.progress.clone(),
             index,
+            section,
+            source: sender.name.clone(),
             name: name.to_owned(),
             pipeline,
             memory: Memory::new(JobBuffers { buffers, job }),
             run_ns: realtime_ns(),
             detection: None,
-            emitted: 0,
+            sequence: 0,
             past: Counts::default(),
             objects: args.objects.then(|| ObjectLines::new(args.output.frame)),
             whole: None,
@@ -108,7 +117,7 @@ impl<'a> Track<'a> {
     /// Begins again with a pipeline that knows nothing.
     pub(super) fn begin_round(&mut self, setup: &Setup<'_>) -> Result<(), CliError> {
         self.past += self.pipeline.status().counts;
-        self.pipeline = pipeline(setup, &self.name)?;
+        self.pipeline = pipeline(setup, self.section, &self.source, self.sequence)?;
         self.run_ns = realtime_ns();
         Ok(())
     }
@@ -141,7 +150,7 @@ impl<'a> Track<'a> {
         while let Some(event) = self.pipeline.poll(&mut self.memory) {
             match event {
                 Event::Sweep(buffer) => {
-                    self.whole = self.number(buffer);
+                    self.whole = self.identify(buffer);
                     if self.objects.is_none() && self.whole.is_some() {
                         return Ok(self.whole.take());
                     }
@@ -165,19 +174,22 @@ impl<'a> Track<'a> {
         Ok(None)
     }
 
-    /// A sweep with its number; `None` if it is none.
-    fn number(&mut self, buffer: Slot) -> Option<Sweep> {
-        let sweep = SweepRef::open(buffer.as_ref()).ok()?;
+    /// A sweep with what is known of it; `None` if it is none.
+    fn identify(&mut self, mut buffer: Slot) -> Option<Sweep> {
+        let sweep = SweepMut::open(buffer.as_mut()).ok()?;
         let detection = self.pipeline.status().detection?;
         let is_emitted = self.args.play.partial || !sweep.header.has(flags::PARTIAL);
         let id = SweepId {
             sensor: self.index,
             model: detection.model,
-            seq: self.emitted,
         };
-        self.emitted += u64::from(is_emitted);
+        self.sequence = sweep.header.sequence + 1;
+        if self.name != self.source {
+            sweep.header.set_name(&self.name);
+        }
         Some(Sweep {
             id,
+            section: self.section,
             is_emitted,
             run_ns: self.run_ns,
             buffer,
@@ -237,15 +249,24 @@ impl Stream for Track<'_> {
     }
 }
 
-fn pipeline(setup: &Setup<'_>, name: &str) -> Result<Pipeline, CliError> {
+/// A pipeline for the sensor of a section, whose packets come from `source`.
+fn pipeline(
+    setup: &Setup<'_>,
+    section: usize,
+    source: &str,
+    first_sequence: u64,
+) -> Result<Pipeline, CliError> {
     let options = Options {
         clock: setup.args.clock(),
         labels: setup.labels,
+        first_sequence,
         ..Options::default()
     };
-    let mut pipeline = Pipeline::with_options(name, setup.config.clone(), options)
+    let sensor = &setup.sections.all()[section].sensor;
+    let mut pipeline = Pipeline::with_options(source, sensor.pipeline.clone(), options)
         .map_err(|error| CliError::Usage(error.to_string()))?;
-    pipeline.find_objects(setup.args.objects.then_some(MAX_WIDTH_RAD));
+    let max_width_rad = sensor.objects.max_width_rad;
+    pipeline.find_objects(setup.args.objects.then_some(max_width_rad));
     Ok(pipeline)
 }
 

@@ -124,11 +124,7 @@ pub struct SweepMessages {
 impl SweepMessages {
     /// Makes them. A sensor without a name has that of its address.
     pub fn of(sweep: &SweepRef<'_>) -> Self {
-        let name = match sweep.header.name() {
-            "" => sweep.header.sensor(),
-            name => name,
-        };
-        let sensor = names::token(name);
+        let sensor = names::token(sweep.header.sensor_name());
         let header = MessageHeader {
             frame_id: &sensor,
             stamp: Stamp::First,

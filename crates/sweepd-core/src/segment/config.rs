@@ -128,6 +128,11 @@ impl Config {
         }
     }
 
+    /// Whether returns are too near or too far to be labelled.
+    pub fn is_range_limited(&self) -> bool {
+        self.min_range_m > 0.0 || self.max_range_m < f32::INFINITY
+    }
+
     /// Whether the height of the sensor is to be estimated: the ground is found from it, and it is
     /// not configured.
     pub fn estimates_height(&self) -> bool {

@@ -70,6 +70,15 @@ impl Header {
         text(&self.name)
     }
 
+    /// What output calls the sensor: its name; where it has none, as in a capture, the source of its
+    /// packets.
+    pub fn sensor_name(&self) -> &str {
+        match self.name() {
+            "" => self.sensor(),
+            name => name,
+        }
+    }
+
     /// Sets the name of the sensor, cut to 64 bytes.
     pub fn set_name(&mut self, name: &str) {
         self.name = padded(name);

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use super::read_file;
 use sweepd::cli::CliError;
 use sweepd::cli::jobs::{self, JobOptions};
-use sweepd::cli::options::{SegmentOptions, model};
+use sweepd::cli::options::{ConfigOptions, SegmentOptions, model};
 use sweepd::cli::output::ForceOptions;
 use sweepd::export::{Existing, WriteError};
 use sweepd::files;
@@ -53,6 +53,8 @@ pub struct Args {
     #[command(flatten)]
     jobs: JobOptions,
     #[command(flatten)]
+    config: ConfigOptions,
+    #[command(flatten)]
     segment: SegmentOptions,
 }
 
@@ -94,14 +96,15 @@ pub fn run(args: &Args) -> Result<(), CliError> {
 
 /// A segmenter for each job.
 fn segmenters(args: &Args, count: usize) -> Result<Vec<CloudSegmenter>, CliError> {
-    let config = args.segment.config()?;
-    let removal = args.segment.removal()?;
+    let mut config = args.config.one()?.unwrap_or_default().pipeline;
+    args.segment.warn();
+    args.segment.apply(&mut config)?;
     let table = table(args)?;
     let mut segmenters = Vec::new();
     for _ in 0..count {
-        let segmenter = CloudSegmenter::new(config.clone(), args.columns)
+        let segmenter = CloudSegmenter::new(config.segment.clone(), args.columns)
             .map_err(|error| CliError::Usage(error.to_string()))?
-            .with_removal(&removal);
+            .with_removal(&config.removal);
         segmenters.push(match &table {
             Some(table) => segmenter.with_rows(table.clone()),
             None => segmenter,

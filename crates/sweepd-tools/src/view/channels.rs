@@ -48,15 +48,22 @@ pub(super) struct Description {
     pub sweeps: Option<u64>,
     /// Moments worth a look.
     pub marks: Vec<Mark>,
+    /// Of a sensor: whether the daemon has told what it segments with, and whether it has a mask that
+    /// this view has not.
+    pub told: bool,
+    pub masked: bool,
     /// What the sweeps are segmented with, as far as it is known.
     #[serde(skip)]
     pub segment: segment::Config,
+    /// What the configuration has of it; the defaults, where there is none.
+    #[serde(skip)]
+    pub configured: segment::Config,
 }
 
 /// A moment worth a look.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct Mark {
-    /// Number of the sweep.
+    /// Place of the sweep.
     pub sweep: u64,
     /// `loss`, `gap`, `stop` or `restart`.
     pub what: &'static str,
@@ -77,7 +84,7 @@ pub(super) struct State {
 /// A sweep that is shown.
 #[derive(Debug)]
 pub(super) struct Frame {
-    /// Number in the capture, from 0; `None` for a sensor.
+    /// Its place among the whole sweeps of the capture, from 0; `None` for a sensor.
     pub index: Option<u64>,
     /// Number among all that could have been shown since the start: it grows by more than 1 where
     /// this program missed some.
@@ -93,7 +100,10 @@ pub(super) enum Command {
     Pause,
     Step(i64),
     Speed(f64),
+    /// To this place.
     Seek(u64),
+    /// To the sweep of this number.
+    Find(u64),
     Choose(String),
 }
 

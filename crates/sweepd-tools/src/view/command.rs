@@ -7,10 +7,10 @@ use std::process::{Command, Stdio};
 use std::sync::Arc;
 
 use sweepd::cli::CliError;
-use sweepd::cli::options::{SegmentOptions, SensorOptions, model, pipeline_config};
+use sweepd::cli::options::{SegmentOptions, SensorOptions, model};
 use sweepd::cli::publish::RootOptions;
+use sweepd::cli::sections::Sections;
 use sweepd::publish::is_sensor_name;
-use sweepd_core::pipeline;
 use sweepd_core::sensor::Model;
 use sweepd_lab::simulate::Setting;
 
@@ -74,54 +74,46 @@ pub struct Args {
 /// # Errors
 /// [`CliError`]: there is no such source, or the page cannot be served.
 pub fn run(args: &Args) -> Result<(), CliError> {
-    let config = pipeline_config(&args.sensor, &args.segment)?;
-    let segment = config.segment.clone();
-    let of_capture = args.is_endless
-        || !args.sensor.sensor.is_empty()
-        || config
-            != pipeline::Config {
-                segment: segment.clone(),
-                ..pipeline::Config::default()
-            };
-    let source_config = |origin| {
-        Box::new(SourceConfig {
-            origin,
-            config,
-            filters: args.sensor.sensor.clone(),
-        })
-    };
+    let sections = Sections::read(&args.sensor, &args.segment)?;
     let source = match args.source.as_deref() {
         None if let Some(model) = args.simulate => {
-            let simulation =
-                Simulation::new(model, args.scene, &segment.mount).map_err(|error| {
-                    CliError::Usage(format!("{error}; give another --height or --scene"))
-                })?;
+            let sections = sections.for_any_sender(&args.sensor.config)?;
+            let mount = &sections.all()[0].sensor.pipeline.segment.mount;
+            let simulation = Simulation::new(model, args.scene, mount).map_err(|error| {
+                CliError::Usage(format!("{error}; give another --height or --scene"))
+            })?;
             Source::Capture {
-                source_config: source_config(Origin::Simulation(Arc::new(simulation))),
+                source_config: SourceConfig {
+                    origin: Origin::Simulation(Arc::new(simulation)),
+                    sections: Arc::new(sections),
+                },
                 is_endless: true,
             }
         }
         Some(path) if !args.is_sensor(path)? => Source::Capture {
-            source_config: source_config(Origin::Capture(path.to_owned())),
+            source_config: SourceConfig {
+                origin: Origin::Capture(path.to_owned()),
+                sections: Arc::new(sections),
+            },
             is_endless: args.is_endless,
         },
-        _ if of_capture => {
-            let message = "a sensor's sweeps are shared decoded: --loop, --model, --calibration, --sensor, --cut-azimuth, --return, \
-                 --gps-without-pps, --remove and --remove-box are for captures; leave them out, and set them in the daemon's configuration";
+        _ if args.is_endless || args.sensor.is_given() || args.segment.removes() => {
+            let message = "a sensor's sweeps are shared decoded, by the daemon's configuration, which the page begins with: --loop, \
+                 --config, --model, --calibration, --sensor, --cut-azimuth, --return, --gps-without-pps, --remove and --remove-box are \
+                 for captures; leave them out";
             return Err(CliError::Usage(message.to_owned()));
         }
         named => Source::Sensor {
             domain: args.root.domain(),
             name: named.and_then(Path::to_str).map(str::to_owned),
+            options: Box::new(args.segment.clone()),
         },
     };
     let listener = args.bind()?;
     let address = listener
         .local_addr()
         .map_err(|source| args.cannot_listen(&source))?;
-    serve(source, segment, listener, address, || {
-        args.announce(address)
-    })
+    serve(source, listener, address, || args.announce(address))
 }
 
 impl Args {

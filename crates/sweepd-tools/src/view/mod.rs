@@ -25,14 +25,14 @@ use self::channels::Kind;
 use self::http::Server;
 use self::source::reader::{Origin, SourceConfig};
 use sweepd::cli::CliError;
+use sweepd::cli::options::SegmentOptions;
 use sweepd_client::client::Domain;
-use sweepd_core::segment;
 
 /// What is looked at.
 pub(crate) enum Source {
     /// A capture or a simulation.
     Capture {
-        source_config: Box<SourceConfig>,
+        source_config: SourceConfig,
         /// Begins again at the end.
         is_endless: bool,
     },
@@ -40,6 +40,8 @@ pub(crate) enum Source {
     Sensor {
         domain: Domain,
         name: Option<String>,
+        /// What is to hold in place of the daemon's settings.
+        options: Box<SegmentOptions>,
     },
 }
 
@@ -66,12 +68,11 @@ impl Source {
 /// can be opened.
 pub(crate) fn serve(
     source: Source,
-    segment: segment::Config,
     listener: TcpListener,
     address: SocketAddr,
     ready: impl FnOnce() -> Result<(), CliError>,
 ) -> Result<(), CliError> {
-    let (running, channels) = source::start(source, segment)?;
+    let (running, channels) = source::start(source)?;
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .max_blocking_threads(2)

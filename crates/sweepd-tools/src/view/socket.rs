@@ -40,6 +40,7 @@ enum Request {
     Step { by: i64 },
     Speed { factor: f64 },
     Seek { index: u64 },
+    Find { sequence: u64 },
     Choose { sensor: String },
     Tune(TuningRequest),
     Configuration,
@@ -159,6 +160,7 @@ impl Page {
             Ok(Request::Pause) => Command::Pause,
             Ok(Request::Step { by }) => Command::Step(by.clamp(-1, 1)),
             Ok(Request::Seek { index }) => Command::Seek(index),
+            Ok(Request::Find { sequence }) => Command::Find(sequence),
             Ok(Request::Choose { sensor }) => {
                 if !self.channels.description.borrow().sensors.contains(&sensor) {
                     return self.refuse("there is no such sensor").await;
@@ -304,9 +306,10 @@ impl Page {
     }
 
     async fn configuration(&mut self) -> Result<(), Gone> {
-        let text = match &self.config {
-            Some(config) => tuning::lines(config),
-            None => tuning::lines(&self.channels.description.borrow().segment),
+        let text = {
+            let description = self.channels.description.borrow();
+            let config = self.config.as_ref().unwrap_or(&description.segment);
+            tuning::lines(config, &description.configured)
         };
         self.say("configuration", json!({ "text": text })).await
     }

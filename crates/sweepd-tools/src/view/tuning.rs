@@ -7,6 +7,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::channels::{packed, sweep_bytes};
+use sweepd::daemon::record::protocol::SegmentSettings;
 use sweepd_client::host::monotonic_ns;
 use sweepd_core::buffers::HeapBuffer;
 use sweepd_core::buffers::HeapBuffers;
@@ -95,31 +96,52 @@ pub(super) fn method(config: &Config) -> &'static str {
     known.map_or("", |(name, _)| name)
 }
 
-/// The lines of a sensor in the daemon's configuration that give this one.
-pub(super) fn lines(config: &Config) -> String {
-    let default = Config::default();
+/// What a daemon has told that it segments with, but for its mask.
+///
+/// # Errors
+/// It is another release, with other settings.
+pub(super) fn told(settings: SegmentSettings) -> Result<Config, String> {
+    let SegmentSettings {
+        method, settings, ..
+    } = settings;
+    let request = TuningRequest {
+        method: Some(method),
+        settings: Some(settings),
+    };
+    Ok(request.config(&Config::default())?.unwrap_or_default())
+}
+
+/// The lines of a sensor in the daemon's configuration that make one of another: the keys that
+/// change.
+pub(super) fn lines(config: &Config, configured: &Config) -> String {
     let mut text = String::new();
     for (table, head) in [
         (Table::Mount, "[sensor.mount]"),
         (Table::Segment, "[sensor.segment]"),
     ] {
         let mut lines = String::new();
-        if table == Table::Segment && config.method != default.method {
+        if table == Table::Segment && config.method != configured.method {
             lines += &format!("method = \"{}\"\n", method(config));
         }
         for setting in SETTINGS.iter().filter(|setting| setting.table == table) {
-            if let Some(value) = setting.get(config)
-                && !setting.is_same(config, &default)
-            {
-                lines += &format!("{} = {value}\n", setting.key);
+            if setting.is_same(config, configured) {
+                continue;
             }
+            lines += &match setting.get(config) {
+                Some(value) => format!("{} = {value}\n", setting.key),
+                None => format!("# without {}\n", setting.key),
+            };
         }
         if !lines.is_empty() {
             text += &format!("{head}\n{lines}");
         }
     }
     if text.is_empty() {
-        text.push_str("# nothing differs from the defaults\n");
+        let of = match *configured == Config::default() {
+            true => "defaults",
+            false => "configuration",
+        };
+        text = format!("# nothing differs from the {of}\n");
     }
     text
 }

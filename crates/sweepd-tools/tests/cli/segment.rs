@@ -38,6 +38,42 @@ fn clouds_with_several_jobs_have_the_labels_of_one() {
     }
 }
 
+/// The expected labels are those of the options that say the same.
+#[test]
+fn a_configuration_gives_the_settings_of_its_sensor() {
+    let folder = Folder::new("configured-clouds");
+    let cloud = folder.write("8.bin", cloud_of_rows(0..63));
+    let cloud = cloud.to_str().unwrap();
+    let config = "[[sensor]]\nname = 'roof'\naddress = '10.0.0.7'\nsegment = { method = 'paper', min_points = 2 }\n\
+                  [[sensor]]\nname = 'rear'\naddress = '10.0.0.8'\n";
+    let config = folder.write("robot.toml", config).display().to_string();
+    let labels = |options: &[&str]| {
+        let out = folder.path("out").display().to_string();
+        let all = ["segment", cloud, "--force", "--out", &out];
+        sweepd(&[&all, options].concat()).done();
+        folder.files("out")
+    };
+    let configured = labels(&["--config", &config, "--sensor", "roof"]);
+    assert!(configured == labels(&["--method", "paper", "--min-points", "2"]));
+    assert!(configured != labels(&[]));
+    let over = [
+        "--config",
+        &config,
+        "--sensor",
+        "roof",
+        "--min-points",
+        "10",
+        "--method",
+        "slope",
+    ];
+    assert!(labels(&over) == labels(&[]));
+    sweepd(&["segment", cloud, "--out", "out", "--config", &config]).says(&[
+        "several sensors",
+        "--sensor NAME",
+        "roof (10.0.0.7), rear (10.0.0.8)",
+    ]);
+}
+
 #[test]
 fn a_number_of_jobs_that_cannot_be_meant_is_one_error() {
     for jobs in ["0", "257", "-1", "two", "1.5"] {

@@ -351,7 +351,7 @@ fn the_page_reads_sweeps_as_rust_does() {
         let mut tab = Tab::open(&format!("http://{}/#sweep=0", view.host));
         let mut read = BTreeSet::new();
         for index in 0..written.len() {
-            tab.value(&format!("location.hash = '#sweep={index}'"));
+            tab.value(&format!("location.hash = '#sweep={}'", index + 1));
             tab.wait_for(&format!("window.sweepd.index === {index}"));
             read.insert(tab.text("window.sweepd.csv()"));
         }
@@ -385,23 +385,23 @@ fn what_is_saved_is_what_replay_writes() {
         out,
     ]);
     let view = View::start(&[&capture]);
-    let mut tab = Tab::open(&format!("http://{}/#sweep=1", view.host));
+    let mut tab = Tab::open(&format!("http://{}/#sweep=2", view.host));
     tab.wait_for("window.sweepd.index === 1");
     tab.save_into(&saved);
     for kind in ["csv", "pcd"] {
-        let name = format!("sweep_000001.{kind}");
+        let name = format!("sweep_000002.{kind}");
         let (one, other) = (
             tab.saved(kind, &saved.join(&name)),
             fs::read(written.join(&name)),
         );
         assert!(one == other.unwrap(), "{name}");
     }
-    let png = tab.saved("png", &saved.join("sweep_000001.png"));
+    let png = tab.saved("png", &saved.join("sweep_000002.png"));
     let reader = png::Decoder::new(std::io::Cursor::new(png))
         .read_info()
         .unwrap();
     assert!(reader.info().width > 500 && reader.info().height > 300);
-    let bytes = tab.saved("sweep", &saved.join("sweep_000001.sweep"));
+    let bytes = tab.saved("sweep", &saved.join("sweep_000002.sweep"));
     assert_same(
         &SweepRef::open(aligned(&bytes).as_ref()).unwrap(),
         &view.page().seek(1).sweep(),
@@ -427,7 +427,7 @@ fn the_robots_frame_is_that_of_replay() {
             "robot",
             "--csv",
         ];
-        sweepd(&[&replay, &[out.to_str().unwrap()], mount].concat());
+        sweepd(&[&replay[..], &[out.to_str().unwrap()], mount].concat());
         let written = fs::read_to_string(out.join("sweep_000001.csv")).unwrap();
         let view = View::start(&[&[capture.as_str()], mount].concat());
         let mut tab = Tab::open(&format!("http://{}/#sweep=1", view.host));
@@ -456,7 +456,7 @@ fn the_robots_frame_is_that_of_replay() {
 #[cfg_attr(without_chromium, ignore = "no chromium")]
 fn without_webgl_all_but_the_3d_view_is_there() {
     let view = View::start(&[&fixture("street_vlp16.pcap.gz")]);
-    let address = format!("http://{}/#sweep=1", view.host);
+    let address = format!("http://{}/#sweep=2", view.host);
     let mut tab = Tab::open_with(&address, &["--disable-3d-apis"]);
     tab.wait_for("window.sweepd.index === 1");
     tab.wait_for("document.querySelector('#error').textContent.includes('WebGL 2')");
@@ -505,7 +505,7 @@ fn over(element: &str, here: &str) -> String {
 #[cfg_attr(without_chromium, ignore = "no chromium")]
 fn what_is_pointed_at_is_marked_everywhere() {
     let view = View::start(&[&fixture("street_hdl32e.pcap.gz")]);
-    let mut tab = Tab::open(&format!("http://{}/#sweep=1", view.host));
+    let mut tab = Tab::open(&format!("http://{}/#sweep=2", view.host));
     tab.wait_for("window.sweepd.index === 1");
     tab.picture("street_hdl32e");
     let csv = tab.text("window.sweepd.csv()");
@@ -604,14 +604,14 @@ fn keys_time_line_and_sliders_do_what_they_say() {
     tab.press(".");
     tab.wait_for("window.sweepd.index === 2");
     // It stands still, so the address names the sweep.
-    tab.wait_for("location.hash === '#sweep=2'");
+    tab.wait_for("location.hash === '#sweep=3'");
     tab.press(",");
-    tab.wait_for("window.sweepd.index === 1 && location.hash === '#sweep=1'");
+    tab.wait_for("window.sweepd.index === 1 && location.hash === '#sweep=2'");
     // It plays from there to the end.
     tab.press(" ");
     tab.wait_for("document.querySelector('#state').textContent.includes('end')");
-    tab.wait_for("location.hash !== '#sweep=1'");
-    tab.value("location.hash = '#sweep=1'");
+    tab.wait_for("location.hash !== '#sweep=2'");
+    tab.value("location.hash = '#sweep=2'");
     tab.wait_for("window.sweepd.index === 1 && !window.sweepd.tuned");
 
     let segments = "Number(document.querySelector('#count').textContent)";
@@ -684,7 +684,7 @@ fn a_simulation_is_drawn_as_it_turns() {
 }
 
 /// A daemon, and what a sensor of this model sends to it, again and again.
-struct Robot {
+pub struct Robot {
     _sensor: Process,
     _daemon: Daemon,
     _ports: [ReservedPort; 3],
@@ -692,14 +692,14 @@ struct Robot {
 }
 
 impl Robot {
-    fn start(model: &str) -> Self {
+    pub fn start(model: &str, segment: &str) -> Self {
         let own = TempDomain::new("sweepd-").unwrap();
         let ports: [ReservedPort; 3] = std::array::from_fn(|_| ReservedPort::new().unwrap());
         let [http, data, position] = &ports;
         let config = own.path("sweepd.toml");
         let text = format!(
             "http = \"{}\"\nroot = \"{}\"\n[[sensor]]\nname = \"roof\"\naddress = \"127.0.0.1\"\n\
-             bind = \"127.0.0.1\"\nport = {}\nposition_port = {}\n",
+             bind = \"127.0.0.1\"\nport = {}\nposition_port = {}\nsegment = {{ {segment} }}\n",
             http.address(),
             own.root().display(),
             data.number(),
@@ -738,14 +738,19 @@ impl Robot {
     }
 
     fn view(&self) -> View {
-        View::start(&["roof", "--root", self.own.root().to_str().unwrap()])
+        self.view_with(&[])
+    }
+
+    pub fn view_with(&self, options: &[&str]) -> View {
+        let args = ["roof", "--root", self.own.root().to_str().unwrap()];
+        View::start(&[&args, options].concat())
     }
 }
 
 #[test]
 #[cfg_attr(without_chromium, ignore = "no chromium")]
 fn a_sensor_of_the_daemon_is_drawn_as_it_turns() {
-    let robot = Robot::start("vlp16");
+    let robot = Robot::start("vlp16", "");
     let view = robot.view();
     let mut tab = Tab::open(&format!("http://{}/", view.host));
     tab.wait_for("window.sweepd.sweeps > 20");
@@ -765,7 +770,7 @@ fn a_sensor_of_the_daemon_is_drawn_as_it_turns() {
 #[ignore = "a measurement: prints figures. SWEEPD_SECONDS says how long"]
 fn measure_a_live_hdl64e() {
     let seconds = std::env::var("SWEEPD_SECONDS").map_or(60, |text| text.parse().unwrap());
-    let robot = Robot::start("hdl64e-s2");
+    let robot = Robot::start("hdl64e-s2", "");
     let view = robot.view();
     let mut tab = Tab::open(&format!("http://{}/", view.host));
     tab.wait_for("window.sweepd.sweeps > 20");

@@ -158,3 +158,39 @@ fn of_several_sensors_the_page_chooses_one() {
     }
     assert_eq!(page.sweep().sweep().header.name(), "roof");
 }
+
+/// What a page is told that holds for a setting.
+#[cfg(feature = "slow-tests")]
+fn now<'a>(source: &'a Value, key: &str) -> &'a Value {
+    let rows = source["settings"].as_array().unwrap();
+    &rows.iter().find(|row| row["key"] == key).unwrap()["now"]
+}
+
+#[test]
+#[cfg(feature = "slow-tests")]
+fn the_page_begins_with_what_the_daemon_runs_with() {
+    use crate::browser::Robot;
+    let robot = Robot::start(
+        "vlp16",
+        "min_points = 33, max_range_m = 40, method = 'paper'",
+    );
+    let view = robot.view_with(&["--min-points", "20"]);
+    let mut page = view.page();
+    let source = page.until(|message| message["told"] == true);
+    assert_eq!(
+        (now(&source, "min_points"), now(&source, "max_range_m")),
+        (&json!(20.0), &json!(40.0))
+    );
+    assert_eq!(
+        (&source["method"], &source["masked"]),
+        (&"paper".into(), &false.into())
+    );
+    // The lines that change the daemon's file, and no others.
+    page.ask(json!({ "do": "tune", "method": "paper", "settings": { "theta_deg": 12, "max_range_m": null } }));
+    page.ask(json!({ "do": "configuration" }));
+    let lines = page.next("configuration");
+    assert_eq!(
+        lines["text"],
+        "[sensor.segment]\ntheta_deg = 12\nmin_points = 20\n# without max_range_m\n"
+    );
+}

@@ -113,10 +113,9 @@ impl Check<'_> {
     fn segment(&mut self, sensor: &Sensor<'_>) {
         let SensorConfig { name, pipeline, .. } = &sensor.config;
         let config = &pipeline.segment;
-        let limits = [config.min_range_m, config.max_range_m];
         if pipeline.removal.out_of_range
             && let Some(given) = sensor.given("segment", "remove_out_of_range")
-            && limits == [0.0, f32::INFINITY]
+            && !config.is_range_limited()
         {
             let title = "`remove_out_of_range` removes nothing";
             self.problem(

@@ -169,7 +169,7 @@ class Page {
     this.sweeps = [sweep, waits ? this.sweeps[1] : null];
     if (!waits || this.isLate) this.show();
     this.isLate = waits;
-    if (head.index !== null) this.timeline.at(head.index);
+    if (head.index !== null) this.timeline.at(head.index, head.sequence);
     this.link();
   }
 
@@ -346,21 +346,21 @@ class Page {
 
   // ---- Links
 
-  /** `#sweep=123` goes to that sweep. */
+  /** `#sweep=123` goes to the sweep of that number, which its header, its files and its lines of JSON have. */
   follow() {
     const named = /^#sweep=(\d+)$/.exec(location.hash);
     if (named === null || Number(named[1]) === this.linked) return;
     this.linked = Number(named[1]);
     this.send({ do: "pause" });
-    this.send({ do: "seek", index: this.linked });
+    this.send({ do: "find", sequence: this.linked });
   }
 
   /** While it stands still, the address names the sweep. */
   link() {
-    const { index } = this.status;
-    if (index === null || this.state.playing || this.linked === index) return;
-    this.linked = index;
-    history.replaceState(null, "", `#sweep=${index}`);
+    const { index, sequence } = this.status;
+    if (index === null || this.state.playing || this.linked === sequence) return;
+    this.linked = sequence;
+    history.replaceState(null, "", `#sweep=${sequence}`);
   }
 
   // ---- Buttons and keys
@@ -454,7 +454,7 @@ class Page {
 
   async save(what) {
     if (!this.shown) return;
-    const number = String(this.status.index ?? this.status.sequence ?? 0).padStart(6, "0");
+    const number = String(this.shown.header.sequence).padStart(6, "0");
     const name = `sweep_${number}.${what}`;
     if (what === "png") save.offer(await save.png(this.cloud, this.images, this.words()), name);
     else if (what === "pcd") save.offer(save.pcd(this.shown, this.poseOf(this.shown)), name);

@@ -13,6 +13,7 @@ export class Timeline {
     this.send = send;
     this.sweeps = 0;
     this.index = 0;
+    this.sequence = 0;
     this.marks = [];
     this.playing = false;
     /** The sweep that the pointer is at, and whether it is about to be asked for. */
@@ -64,9 +65,10 @@ export class Timeline {
     if (document.activeElement !== this.speed) this.speed.value = String(near);
   }
 
-  /** The sweep that is shown now. */
-  at(index) {
+  /** The sweep that is shown now: its place among the whole sweeps of the capture, and its number. */
+  at(index, sequence) {
     this.index = index;
+    this.sequence = sequence;
     this.draw();
   }
 
@@ -108,7 +110,7 @@ export class Timeline {
     const index = this.under(event);
     const reach = (this.sweeps / this.bar.clientWidth) * 5;
     const near = this.marks.filter((mark) => Math.abs(mark.sweep - index) <= Math.max(0.5, reach)).slice(0, 4);
-    this.tip.textContent = [`sweep ${index}`, ...near.map((mark) => mark.text)].join(" · ");
+    this.tip.textContent = [`${index + 1} of ${this.sweeps}`, ...near.map((mark) => mark.text)].join(" · ");
     this.tip.hidden = false;
     const { left } = this.bar.getBoundingClientRect();
     const most = this.bar.clientWidth - this.tip.clientWidth;
@@ -116,8 +118,8 @@ export class Timeline {
   }
 
   draw() {
-    const { bar, sweeps, index, marks } = this;
-    this.words.textContent = sweeps === 0 ? `sweep ${index}` : `sweep ${index} of ${sweeps}`;
+    const { bar, sweeps, index, sequence, marks } = this;
+    this.words.textContent = sweeps === 0 ? `sweep ${sequence}` : `sweep ${sequence}, ${index + 1} of ${sweeps}`;
     bar.setAttribute("aria-valuemax", String(Math.max(0, sweeps - 1)));
     bar.setAttribute("aria-valuenow", String(index));
     const [width, height] = [bar.clientWidth, bar.clientHeight];

@@ -19,6 +19,7 @@ export class Tuning {
     this.refused = part("refused");
     this.summary = part("summary");
     this.base = part("base");
+    this.masked = part("masked");
     this.reset = part("reset");
     this.modes = [...root.querySelectorAll("[data-compare]")];
     this.methods.addEventListener("change", () => this.changed());
@@ -30,9 +31,10 @@ export class Tuning {
   }
 
   /** Takes the options of the source. Those that were changed stay, unless the options are others. */
-  source({ kind, settings, methods, method }) {
-    this.base.hidden = kind !== "sensor";
-    const key = JSON.stringify([settings, methods]);
+  source({ kind, told, masked, settings, methods, method }) {
+    this.base.hidden = kind !== "sensor" || told;
+    this.masked.hidden = !masked;
+    const key = JSON.stringify([settings, methods, method]);
     if (key === this.known) return;
     this.known = key;
     const chosen = this.active ? this.differing : {};

@@ -4,7 +4,11 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use crate::view::channels::{Command, Kind, Publisher, State, packed, sweep_bytes};
+use crate::view::tuning;
 use sweepd::cli::CliError;
+use sweepd::cli::options::SegmentOptions;
+use sweepd::daemon::record::client::segment_settings;
+use sweepd::daemon::record::socket_path;
 use sweepd_client::client::{Client, Domain, Next};
 use sweepd_client::host::realtime_ns;
 use sweepd_core::buffers::HeapBuffers;
@@ -36,8 +40,8 @@ pub(super) struct Live {
     counts: Counts,
     /// Why there are no sweeps.
     trouble: Option<String>,
-    /// What sweeps are segmented with where they do not tell.
-    base: segment::Config,
+    /// What holds in place of the daemon's settings.
+    options: SegmentOptions,
 }
 
 #[derive(Clone, Copy)]
@@ -58,9 +62,13 @@ struct Counts {
 }
 
 impl Live {
-    pub(super) fn new(publisher: Publisher, domain: Domain, name: Option<String>) -> Self {
+    pub(super) fn new(
+        publisher: Publisher,
+        domain: Domain,
+        name: Option<String>,
+        options: SegmentOptions,
+    ) -> Self {
         Self {
-            base: publisher.description().segment,
             publisher,
             domain,
             name,
@@ -72,6 +80,7 @@ impl Live {
             restarted: None,
             counts: Counts::default(),
             trouble: None,
+            options,
         }
     }
 
@@ -101,7 +110,6 @@ impl Live {
         self.publisher.describe(|now| {
             now.kind = Kind::Sensor;
             now.name.clone_from(&name);
-            now.segment.clone_from(&self.base);
         });
         self.name = Some(name);
         self.client = None;
@@ -172,23 +180,34 @@ impl Live {
             counts.restarts += 1;
             self.restarted = Some(now.at);
         }
+        let is_new = before.is_none_or(|before| before.run_ns != now.run_ns);
         counts.sweeps += 1;
         counts.missed = counts.missed.saturating_add(missed);
         counts.lost += u64::from(header.lost_packets);
         counts.dropped += u64::from(header.dropped_datagrams);
-        self.note_mount(header);
+        if is_new {
+            self.learn(header);
+        }
     }
 
-    /// What the daemon segments with, as far as sweeps tell it.
-    fn note_mount(&self, header: &Header) {
-        let is_known = header.height_m > 0.0 && !header.has(flags::HEIGHT_ESTIMATED);
+    /// What a run of the daemon segments with: it is asked. One that does not say, such as a replay,
+    /// tells in its sweeps how the sensor is mounted.
+    fn learn(&self, header: &Header) {
+        let name = self.name.as_deref().unwrap_or_default();
+        let told = segment_settings(&socket_path(self.domain.root()), name).ok();
+        let is_masked = told.as_ref().is_some_and(|told| told.masked);
+        let told = told.and_then(|told| tuning::told(told).ok());
+        let is_told = told.is_some();
+        let configured = told.unwrap_or_else(|| mount_of(header));
+        let mut segment = configured.clone();
+        // They were checked; together with the daemon's they may be impossible, and then do not hold.
+        if self.options.apply_to_segmenter(&mut segment).is_err() {
+            segment.clone_from(&configured);
+        }
         self.publisher.describe(|now| {
-            let mount = &mut now.segment.mount;
-            mount.pitch_rad = header.pitch_rad;
-            mount.roll_rad = header.roll_rad;
-            if is_known {
-                mount.height_m = Some(header.height_m);
-            }
+            now.told = is_told;
+            now.masked = is_masked && segment.mask.is_none();
+            (now.segment, now.configured) = (segment, configured);
         });
     }
 
@@ -280,4 +299,16 @@ impl Live {
             Some(_) => ("live".to_owned(), true),
         }
     }
+}
+
+/// The defaults, with the mount that a header has.
+fn mount_of(header: &Header) -> segment::Config {
+    let mut config = segment::Config::default();
+    let mount = &mut config.mount;
+    mount.pitch_rad = header.pitch_rad;
+    mount.roll_rad = header.roll_rad;
+    if header.height_m > 0.0 && !header.has(flags::HEIGHT_ESTIMATED) {
+        mount.height_m = Some(header.height_m);
+    }
+    config
 }

@@ -41,10 +41,16 @@ impl Drop for Running {
 ///
 /// # Errors
 /// [`CliError`]: it cannot be opened, or the system has no thread.
-pub(super) fn start(
-    source: Source,
-    segment: segment::Config,
-) -> Result<(Running, Channels), CliError> {
+pub(super) fn start(source: Source) -> Result<(Running, Channels), CliError> {
+    let (segment, configured) = match &source {
+        Source::Capture { source_config, .. } => source_config.segment(0),
+        Source::Sensor { options, .. } => {
+            let mut segment = segment::Config::default();
+            options.warn();
+            options.apply_to_segmenter(&mut segment)?;
+            (segment, segment::Config::default())
+        }
+    };
     let over = Arc::new(AtomicBool::new(false));
     let (kind, name) = source.kind();
     let description = Description {
@@ -54,7 +60,10 @@ pub(super) fn start(
         chosen: None,
         sweeps: (!matches!(kind, Kind::Sensor | Kind::Choice)).then_some(0),
         marks: Vec::new(),
+        told: false,
+        masked: false,
         segment,
+        configured,
     };
     let state = State {
         words: "begins".to_owned(),
@@ -69,8 +78,12 @@ pub(super) fn start(
         threads: Vec::new(),
     };
     match source {
-        Source::Sensor { domain, name } => {
-            let live = Live::new(publisher, domain, name);
+        Source::Sensor {
+            domain,
+            name,
+            options,
+        } => {
+            let live = Live::new(publisher, domain, name, *options);
             running.spawn("live", move || live.run())?;
         }
         Source::Capture {
@@ -87,7 +100,7 @@ pub(super) fn start(
                 })?;
             }
             let describer = publisher.describer();
-            let player = Player::new(publisher, (*source_config).clone(), is_endless)
+            let player = Player::new(publisher, source_config.clone(), is_endless)
                 .map_err(|error| CliError::Usage(error.to_string()))?;
             let chosen = player.chosen();
             running.spawn("player", move || player.run())?;

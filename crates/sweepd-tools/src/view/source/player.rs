@@ -40,14 +40,18 @@ pub(super) struct Player {
     reader: Option<Reader>,
     /// Number of the sensor that is shown; the index reads it.
     sensor: Arc<AtomicUsize>,
-    /// Number of the next sweep of the reader.
+    /// Number of its section.
+    section: usize,
+    /// Place of the next sweep of the reader.
     next: u64,
     /// The last sweeps of the reader, without gaps.
     kept: VecDeque<Kept>,
-    /// Number and arrival of the sweep that is shown.
+    /// Place and arrival of the sweep that is shown.
     shown: Option<(u64, i64)>,
     /// The sweep that is to be shown at once.
     wanted: Option<u64>,
+    /// The number of one whose place is to be found first.
+    linked: Option<u64>,
     is_playing: bool,
     /// The last sweep was shown, and playing on would need another.
     is_at_end: bool,
@@ -58,7 +62,13 @@ pub(super) struct Player {
     lost: Option<String>,
 }
 
-enum Kept {
+struct Kept {
+    /// Its number.
+    sequence: u64,
+    sweep: KeptSweep,
+}
+
+enum KeptSweep {
     Decoded(HeapBuffer),
     Labelled(Bytes),
 }
@@ -78,17 +88,19 @@ impl Player {
         is_endless: bool,
     ) -> Result<Self, ConfigError> {
         Ok(Self {
-            labels: Labels::new(&source_config.config)?,
+            labels: Labels::new(&source_config.sections)?,
             buffers: HeapBuffers::default(),
             publisher,
             source_config,
             is_endless,
             reader: None,
             sensor: Arc::default(),
+            section: 0,
             next: 0,
             kept: VecDeque::new(),
             shown: None,
             wanted: Some(0),
+            linked: None,
             is_playing: true,
             is_at_end: false,
             speed: 1.0,
@@ -132,6 +144,12 @@ impl Player {
 
     /// Shows what is wanted or due; returns how long there is nothing to do.
     fn advance(&mut self) -> Duration {
+        if let Some(sequence) = self.linked {
+            match self.place_of(sequence) {
+                Some(place) => self.seek(place),
+                None => return Duration::ZERO,
+            }
+        }
         let playing = self.is_playing && !self.is_at_end && self.publisher.is_watched();
         let next = self.shown.map_or(0, |(index, _)| index + 1);
         let index = match self.wanted {
@@ -197,6 +215,10 @@ impl Player {
                 self.seek(self.wanted.unwrap_or(shown).saturating_add_signed(by));
             }
             Command::Seek(index) => self.seek(index),
+            Command::Find(sequence) => {
+                self.seek(0);
+                self.linked = Some(sequence);
+            }
             Command::Speed(factor) => self.speed = factor,
             Command::Choose(name) => {
                 let sensors = self.publisher.description().sensors;
@@ -215,7 +237,7 @@ impl Player {
     }
 
     fn seek(&mut self, index: u64) {
-        self.wanted = Some(index);
+        (self.wanted, self.linked) = (Some(index), None);
         self.is_at_end = false;
     }
 
@@ -261,6 +283,32 @@ impl Player {
         }
     }
 
+    /// The place of the sweep of this number, or of the first one behind it; of the last one, where
+    /// there is none. `None` while it is looked for.
+    fn place_of(&mut self, sequence: u64) -> Option<u64> {
+        if self
+            .kept
+            .front()
+            .is_some_and(|first| first.sequence > sequence)
+        {
+            self.restart();
+        }
+        let begun = Instant::now();
+        loop {
+            if let Some(place) = self.kept.iter().position(|kept| kept.sequence >= sequence) {
+                return Some(self.next - (self.kept.len() - place) as u64);
+            }
+            match self.read() {
+                Some(Step::Sweep(decoded)) => self.keep(decoded),
+                Some(Step::More) => {}
+                Some(Step::End) | None => return Some(self.next.saturating_sub(1)),
+            }
+            if begun.elapsed() > LOOK_EVERY {
+                return None;
+            }
+        }
+    }
+
     fn read(&mut self) -> Option<Step> {
         if self.reader.is_none() && self.lost.is_none() {
             match Reader::open(&self.source_config) {
@@ -278,25 +326,34 @@ impl Player {
         if self.kept.len() == KEPT {
             self.kept.pop_front();
         }
+        if decoded.section != self.section {
+            self.section = decoded.section;
+            let (segment, configured) = self.source_config.segment(self.section);
+            self.publisher
+                .describe(|now| (now.segment, now.configured) = (segment, configured));
+        }
         self.next = decoded.index + 1;
-        self.kept.push_back(Kept::Decoded(decoded.buffer));
+        self.kept.push_back(Kept {
+            sequence: decoded.sequence,
+            sweep: KeptSweep::Decoded(decoded.buffer),
+        });
     }
 
     /// One of the kept sweeps, with labels.
     fn label(&mut self, place: usize) -> Option<Bytes> {
-        let kept = self.kept.get_mut(place)?;
-        if let Kept::Decoded(buffer) = kept {
-            self.labels.label(buffer);
-            let empty = Kept::Labelled(Bytes::new());
-            if let Kept::Decoded(buffer) = std::mem::replace(kept, empty) {
+        let kept = &mut self.kept.get_mut(place)?.sweep;
+        if let KeptSweep::Decoded(buffer) = kept {
+            self.labels.label(self.section, buffer);
+            let empty = KeptSweep::Labelled(Bytes::new());
+            if let KeptSweep::Decoded(buffer) = std::mem::replace(kept, empty) {
                 let sweep = SweepRef::open(buffer.as_ref()).ok()?;
                 let copy = packed(&mut self.buffers, &sweep, sweep.segments.len()).ok()?;
-                *kept = Kept::Labelled(sweep_bytes(copy)?);
+                *kept = KeptSweep::Labelled(sweep_bytes(copy)?);
             }
         }
         match kept {
-            Kept::Labelled(bytes) => Some(bytes.clone()),
-            Kept::Decoded(_) => None,
+            KeptSweep::Labelled(bytes) => Some(bytes.clone()),
+            KeptSweep::Decoded(_) => None,
         }
     }
 
@@ -307,8 +364,18 @@ impl Player {
         let words = match (&trouble, self.shown, self.wanted) {
             (Some(trouble), None, _) => trouble.clone(),
             (Some(trouble), Some(_), _) => format!("{trouble}; what came before can be looked at"),
-            (None, _, Some(index)) => format!("looking for sweep {index}, at {}", self.next),
-            (None, None, None) => "there is no whole sweep in it".to_owned(),
+            (None, _, Some(index)) => match self.linked {
+                Some(sequence) => format!("looking for sweep {sequence}"),
+                None => format!(
+                    "looking for sweep {} of the capture, at {}",
+                    index + 1,
+                    self.next
+                ),
+            },
+            (None, None, None) => match self.reader.as_ref().map(Reader::missing).as_deref() {
+                Some([missing, ..]) => missing.clone(),
+                _ => "there is no whole sweep in it".to_owned(),
+            },
             _ if self.is_at_end => "the end".to_owned(),
             _ if self.is_playing => "playing".to_owned(),
             _ => "paused".to_owned(),

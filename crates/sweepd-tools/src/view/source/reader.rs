@@ -7,19 +7,18 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use super::simulation::Simulation;
-use sweepd::admission::SensorFilter;
+use sweepd::admission::Sender;
+use sweepd::cli::sections::Sections;
 use sweepd::cure::{Dialect, explain};
 use sweepd::input::{Capture, CaptureError, Placed};
 use sweepd::streams::{SteadyTime, Stream, Streams};
 use sweepd_client::host::monotonic_ns;
 use sweepd_core::buffers::HeapBuffer;
 use sweepd_core::buffers::{HeapBuffers, Memory};
-use sweepd_core::pipeline::{
-    self, Arrival, Config, Event, Fault, Options, Pipeline, TimedSegmenter,
-};
-use sweepd_core::segment::{ConfigError, Segmenter};
+use sweepd_core::pipeline::{self, Arrival, Event, Fault, Options, Pipeline, TimedSegmenter};
+use sweepd_core::segment::{self, ConfigError, Segmenter};
+use sweepd_core::sweep::SweepMut;
 use sweepd_core::sweep::layout::flags;
-use sweepd_core::sweep::{SweepMut, SweepRef};
 use sweepd_core::wire::Packet;
 
 /// Where datagrams come from, again and again from the beginning.
@@ -33,17 +32,28 @@ pub(crate) enum Origin {
 #[derive(Clone)]
 pub(crate) struct SourceConfig {
     pub(crate) origin: Origin,
-    pub(crate) config: Config,
-    /// Only these sensors; all, if there are none.
-    pub(crate) filters: Vec<SensorFilter>,
+    pub(crate) sections: Arc<Sections>,
+}
+
+impl SourceConfig {
+    /// What the segmenter of a section has, and what the configuration alone gives it.
+    pub(super) fn segment(&self, section: usize) -> (segment::Config, segment::Config) {
+        let section = &self.sections.all()[section];
+        let segment = section.sensor.pipeline.segment.clone();
+        (segment, section.configured.clone())
+    }
 }
 
 /// A sweep without labels.
 pub(super) struct Decoded {
     /// Number of its sensor.
     pub(super) sensor: usize,
-    /// Its number among those of its sensor, from 0.
+    /// Number of its section.
+    pub(super) section: usize,
+    /// Its place among those of its sensor, from 0.
     pub(super) index: u64,
+    /// Its number, as its header has it.
+    pub(super) sequence: u64,
     pub(super) buffer: HeapBuffer,
 }
 
@@ -58,7 +68,7 @@ pub(super) enum Step {
 /// A run from the beginning.
 pub(super) struct Reader {
     datagrams: Datagrams,
-    config: Config,
+    sections: Arc<Sections>,
     streams: Streams<Track>,
     is_over: bool,
     /// Why it ended before its end.
@@ -74,6 +84,9 @@ enum Datagrams {
 struct Track {
     /// Its number.
     sensor: usize,
+    section: usize,
+    /// In the configuration; empty without one.
+    name: String,
     pipeline: Pipeline,
     memory: Memory<HeapBuffers>,
     sweeps: u64,
@@ -92,8 +105,8 @@ impl Reader {
         };
         Ok(Self {
             datagrams,
-            config: source_config.config.clone(),
-            streams: Streams::new(source_config.filters.clone()),
+            sections: Arc::clone(&source_config.sections),
+            streams: Streams::new(source_config.sections.filters()),
             is_over: false,
             broken: None,
         })
@@ -102,7 +115,12 @@ impl Reader {
     /// The names of the sensors so far, by number.
     pub(super) fn sensors(&self) -> impl Iterator<Item = &str> {
         let senders = self.streams.sensors.senders();
-        senders.iter().map(|sender| &sender.name[..])
+        senders.iter().map(|sender| self.sections.name_of(sender))
+    }
+
+    /// Sensors that were asked for and have not been heard.
+    pub(super) fn missing(&self) -> Vec<String> {
+        self.sections.missing(self.streams.sensors.senders())
     }
 
     /// Why it ended before its end, or why sweeps of a sensor are missing.
@@ -123,14 +141,14 @@ impl Reader {
         }
         match &mut self.datagrams {
             Datagrams::Capture(capture) => match capture.next_placed() {
-                Ok(Some(placed)) => return take(&mut self.streams, &self.config, &placed),
+                Ok(Some(placed)) => return take(&mut self.streams, &self.sections, &placed),
                 Ok(None) => self.broken = capture.truncation().map(ToString::to_string),
                 Err(error) => self.broken = Some(error.to_string()),
             },
             Datagrams::Simulation(simulation, next) => {
                 if let Some(sent) = simulation.datagram(*next) {
                     *next += 1;
-                    return take(&mut self.streams, &self.config, &sent.datagram().into());
+                    return take(&mut self.streams, &self.sections, &sent.datagram().into());
                 }
             }
         }
@@ -141,24 +159,28 @@ impl Reader {
 }
 
 /// Gives a datagram to its sensors.
-fn take(streams: &mut Streams<Track>, config: &Config, placed: &Placed<'_>) -> Step {
+fn take(streams: &mut Streams<Track>, sections: &Sections, placed: &Placed<'_>) -> Step {
     // The configuration was checked before the first datagram.
     let _ = streams.take(placed, |sensor, sender| {
-        Track::new(sensor, &sender.name, config)
+        Track::new(sensor, sender, sections)
     });
     Step::More
 }
 
 impl Track {
-    fn new(sensor: usize, name: &str, config: &Config) -> Result<Self, ConfigError> {
+    fn new(sensor: usize, sender: &Sender, sections: &Sections) -> Result<Self, ConfigError> {
         let options = Options {
             clock: monotonic_ns,
             labels: pipeline::Labels::Elsewhere,
             ..Options::default()
         };
+        let section = sections.number_of(sender);
+        let config = &sections.all()[section].sensor.pipeline;
         Ok(Self {
             sensor,
-            pipeline: Pipeline::with_options(name, config.clone(), options)?,
+            section,
+            name: sections.all()[section].sensor.name.clone(),
+            pipeline: Pipeline::with_options(&sender.name, config.clone(), options)?,
             memory: Memory::default(),
             sweeps: 0,
             fault: None,
@@ -184,10 +206,10 @@ impl Stream for Track {
         self.pipeline.end();
     }
 
-    /// Partial sweeps have no number, as in a replay.
+    /// Partial sweeps are left out, as in a replay.
     fn next_sweep(&mut self) -> Option<Decoded> {
         loop {
-            let buffer = match self.pipeline.poll(&mut self.memory)? {
+            let mut buffer = match self.pipeline.poll(&mut self.memory)? {
                 Event::Sweep(buffer) => buffer,
                 Event::Fault(fault) => {
                     self.fault = Some(fault);
@@ -195,13 +217,18 @@ impl Stream for Track {
                 }
                 Event::Objects(_) | Event::Notice(_) => continue,
             };
-            let is_partial = SweepRef::open(buffer.as_ref())
-                .map_or(true, |sweep| sweep.header.has(flags::PARTIAL));
-            if !is_partial {
+            let Ok(sweep) = SweepMut::open(buffer.as_mut()) else {
+                continue;
+            };
+            sweep.header.set_name(&self.name);
+            let sequence = sweep.header.sequence;
+            if !sweep.header.has(flags::PARTIAL) {
                 self.sweeps += 1;
                 return Some(Decoded {
                     sensor: self.sensor,
+                    section: self.section,
                     index: self.sweeps - 1,
+                    sequence,
                     buffer,
                 });
             }
@@ -209,20 +236,25 @@ impl Stream for Track {
     }
 }
 
-/// Labels decoded sweeps, in any order.
-pub(super) struct Labels(TimedSegmenter);
+/// Labels decoded sweeps, in any order; by number of the section.
+pub(super) struct Labels(Vec<TimedSegmenter>);
 
 impl Labels {
     /// # Errors
     /// [`ConfigError`].
-    pub(super) fn new(config: &Config) -> Result<Self, ConfigError> {
-        let segmenter = Segmenter::new(config.segment.clone())?.with_heights_in_headers();
-        Ok(Self(TimedSegmenter::new(segmenter, monotonic_ns)))
+    pub(super) fn new(sections: &Sections) -> Result<Self, ConfigError> {
+        let mut segmenters = Vec::new();
+        for section in sections.all() {
+            let segmenter = Segmenter::new(section.sensor.pipeline.segment.clone())?;
+            let segmenter = segmenter.with_heights_in_headers();
+            segmenters.push(TimedSegmenter::new(segmenter, monotonic_ns));
+        }
+        Ok(Self(segmenters))
     }
 
-    pub(super) fn label(&mut self, buffer: &mut HeapBuffer) {
+    pub(super) fn label(&mut self, section: usize, buffer: &mut HeapBuffer) {
         if let Ok(mut sweep) = SweepMut::open(buffer.as_mut()) {
-            self.0.segment(&mut sweep);
+            self.0[section].segment(&mut sweep);
         }
     }
 }
