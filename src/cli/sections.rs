@@ -75,6 +75,7 @@ impl Sections {
         };
         section.filter = None;
         self.filters.clear();
+        self.is_any_enough = false;
         Ok(self)
     }
 
