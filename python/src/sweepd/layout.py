@@ -128,8 +128,8 @@ OBJECTS_HEADER = np.dtype([
     ("magic", "V8"), ("version", "<u4"), ("header_bytes", "<u4"), ("sequence", "<u8"), ("run_ns", "<i8"),
     ("time_ns", "<i8"), ("sent_ns", "<i8"), ("sent_monotonic_ns", "<i8"), ("time_source", "<u4"), ("flags", "<u4"),
     ("objects", "<u4"), ("first_ordinal", "<u4"), ("labels", "<u4"), ("first_label", "<u4"),
-    ("position_m", "<f4", (3,)), ("yaw_rad", "<f4"), ("pitch_rad", "<f4"), ("roll_rad", "<f4"),
-    ("height_m", "<f4"), ("reserved_108", "V20"), ("name", "S64"),
+    ("position_m", "<f4", (3,)), ("yaw_rad", "<f4"), ("pitch_rad", "<f4"), ("roll_rad", "<f4"), ("height_m", "<f4"),
+    ("reserved_108", "V20"), ("name", "S64"),
 ])  # fmt: skip
 # end fields
 
