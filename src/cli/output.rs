@@ -73,8 +73,8 @@ impl OutputOptions {
         }
         let frame = self.frame.name();
         Some(format!(
-            "{sensor}: its mount is not known: the origin and the tilt of --frame {frame} are those of the sensor; give them as \
-             [sensor.mount] of the configuration, or to replay the tilt as --pitch and --roll"
+            "{sensor}: its mount is not known, so --frame {frame} has its origin and tilt: \
+             give [sensor.mount] in the configuration, or --pitch and --roll to replay"
         ))
     }
 

@@ -368,7 +368,8 @@ fn in_frame(folder: &Folder, name: &str, options: &[&str]) -> ([Vec<Lengths>; 3]
         &capture,
         &[&["--end", "0.25", "--objects"], options].concat(),
     );
-    let objects = crate::sweeps(&told.done());
+    assert_eq!((told.code, &told.stderr), (0, &ran.stderr));
+    let objects = sweeps(&told.stdout);
     let objects = objects
         .iter()
         .filter(|line| line["points"].is_u64())

@@ -193,7 +193,9 @@ fn segments_are_what_their_points_are() {
             table.to_str().unwrap(),
             "--json",
         ];
-        let json = crate::sweeps(&replay(&two, &options).done());
+        let ran = replay(&two, &options);
+        assert_eq!(ran.code, 0, "{}", ran.stderr);
+        let json = crate::sweeps(&ran.stdout);
         let mut segments = csv(&table);
         let mut compared = 0;
         for sweep in json.iter().filter(|line| line["seq"].is_u64()) {
