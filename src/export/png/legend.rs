@@ -8,7 +8,7 @@ use super::canvas::{BODY, Canvas, NOTE};
 use super::palette::{self, GROUND, NO_RETURN, UNLABELLED};
 use super::plan::draw_sensor;
 use sweepd_core::sweep::layout::LABEL_FIRST_SEGMENT;
-use sweepd_core::sweep::{Segment, SweepRef};
+use sweepd_core::sweep::{Frame, Pose, Segment, SweepRef};
 
 /// From one line to the next, pixels.
 const LINE: i32 = 25;
@@ -33,8 +33,9 @@ const MEANINGS: [&str; 6] = [
     "the sensor; it points forward, along y",
 ];
 
-/// Draws the legend into an area; segments as many as fit.
-pub fn draw(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>) {
+/// Draws the legend into an area; segments as many as fit, with boxes in the frame.
+pub fn draw(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, frame: Frame) {
+    let pose = frame.pose(Pose::of_mount(sweep.header));
     page.heading(area.top_left - Point::new(0, 24), "colours");
     draw_meanings(page, area.top_left);
     let mut at = area.top_left + Point::new(0, MEANINGS.len() as i32 * LINE + 20);
@@ -54,7 +55,7 @@ pub fn draw(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>) {
     let bottom = area.top_left.y + area.size.height as i32;
     let room = ((bottom - at.y) / LINE).max(0) as usize;
     for segment in segments.into_iter().take(room) {
-        draw_segment(page, at, segment);
+        draw_segment(page, at, segment, pose.as_ref());
         at.y += LINE;
     }
 }
@@ -85,12 +86,12 @@ fn swatch(line: Point) -> Rectangle {
     Rectangle::new(line + Point::new(0, 2), SWATCH)
 }
 
-fn draw_segment(page: &mut Canvas, at: Point, segment: &Segment) {
+fn draw_segment(page: &mut Canvas, at: Point, segment: &Segment, pose: Option<&Pose>) {
     page.rect(swatch(at), palette::label(segment.label));
     let [x, y, _] = segment.centroid_m;
     let azimuth = (x.atan2(y).to_degrees().round() as i32).rem_euclid(360);
-    let [width, depth, height] =
-        std::array::from_fn(|axis| segment.max_m[axis] - segment.min_m[axis]);
+    let [least_m, most_m] = segment.box_in(pose);
+    let [width, depth, height] = [0, 1, 2].map(|axis| most_m[axis] - least_m[axis]);
     let cells = [
         segment.label.to_string(),
         format!("{:.2} m", segment.nearest_m),

@@ -106,7 +106,7 @@ fn draw(sweep: SweepRef<'_>, frame: Frame, title: &Title<'_>) -> Canvas {
     strip::draw_labels(&mut page, &layout.labels, sweep, &raster);
     strip::draw_azimuths(&mut page, &layout.labels, sweep, &raster);
     plan::draw(&mut page, &layout.plan, sweep, frame, layout.labels.size);
-    legend::draw(&mut page, &layout.legend, sweep);
+    legend::draw(&mut page, &layout.legend, sweep, frame);
     page
 }
 
