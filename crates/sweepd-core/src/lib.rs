@@ -6,13 +6,15 @@
 //! ```
 //!
 //! [`sensor`] says what each model is and where its beams point; [`pipeline`] holds the whole
-//! algorithm; [`buffers`] gives the memory that sweeps are built in.
+//! algorithm; [`buffers`] gives the memory that sweeps are built in; [`floor`] tells from sweeps how the
+//! sensor is mounted.
 
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 
 pub mod assemble;
 pub mod buffers;
+pub mod floor;
 pub mod pipeline;
 pub mod segment;
 pub mod sensor;

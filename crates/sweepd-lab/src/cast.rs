@@ -8,6 +8,8 @@
 //! what is measured is off by normal noise alone.
 
 mod draw;
+#[cfg(test)]
+mod floor;
 mod scene;
 mod sensor;
 mod spin;

@@ -71,7 +71,7 @@ pub struct Up(Vector3<f64>);
 
 impl Up {
     /// Its coordinates: right, forward, up.
-    pub(super) fn axis(self) -> [f32; 3] {
+    pub(crate) fn axis(self) -> [f32; 3] {
         [self.0.x as f32, self.0.y as f32, self.0.z as f32]
     }
 

@@ -16,7 +16,7 @@ pub enum What {
     Ground(usize),
     /// A solid, by its place in [`Scene::solids`].
     Solid(usize),
-    /// A wall.
+    /// A wall, or the ceiling.
     Wall,
 }
 
@@ -58,6 +58,8 @@ pub struct Scene {
     pub solids: Vec<Solid>,
     /// How far the four walls are from the middle, metres; infinite where there are none.
     pub walls_m: f64,
+    /// How high the ceiling is, metres; infinite where there is none.
+    pub ceiling_m: f64,
 }
 
 /// Level ground ends here, metres.
@@ -171,6 +173,7 @@ impl Scene {
             ground: Ground::level(),
             solids,
             walls_m: f64::INFINITY,
+            ceiling_m: f64::INFINITY,
         }
     }
 
@@ -190,8 +193,10 @@ impl Scene {
             let wall_m = self.walls_m.copysign(ray.along[axis]);
             ((wall_m - ray.from_m[axis]) / ray.along[axis], What::Wall)
         });
-        let walls = walls.into_iter().filter(|(away_m, _)| away_m.is_finite());
-        let met = solids.chain(walls).chain(self.ground.meets(ray));
+        let ceiling_m = (self.ceiling_m - ray.from_m[2]) / ray.along[2];
+        let around = walls.into_iter().chain([(ceiling_m, What::Wall)]);
+        let around = around.filter(|(away_m, _)| away_m.is_finite() && *away_m > 0.0);
+        let met = solids.chain(around).chain(self.ground.meets(ray));
         met.min_by(|a, b| a.0.total_cmp(&b.0))
     }
 }

@@ -3,7 +3,7 @@
 use std::f64::consts::{PI, TAU};
 
 use fastrand::Rng;
-use sweepd_core::buffers::{Buffers, HeapBuffers};
+use sweepd_core::buffers::{Buffers, HeapBuffer, HeapBuffers};
 use sweepd_core::segment::{Config, Mount, Segmenter};
 use sweepd_core::sensor::{Beam, Model, ModelExt};
 use sweepd_core::sweep::layout::flags;
@@ -169,6 +169,18 @@ impl Sensor {
 
     /// What it sees of a scene in a sector, as the segmenter labels it with this mount.
     pub fn look(&mut self, scene: &Scene, sector: &Sector) -> View {
+        let (mut buffer, mut found) = self.scan(scene, sector);
+        let mut sweep = SweepMut::open(buffer.as_mut()).expect("made just now");
+        self.segmenter().segment(&mut sweep);
+        let rows = self.beams.len();
+        for one in &mut found {
+            one.label = sweep.label[one.column * rows + one.row];
+        }
+        View(found)
+    }
+
+    /// What it sees of a scene in a sector, without labels, and what each return lies on.
+    pub fn scan(&mut self, scene: &Scene, sector: &Sector) -> (HeapBuffer, Vec<Found>) {
         let (step_rad, rows) = (self.pitch_of_columns_rad(), self.beams.len());
         let columns = (2.0 * sector.half_rad / step_rad) as usize;
         let shape = Shape {
@@ -178,7 +190,7 @@ impl Sensor {
             segments_capacity: rows * columns,
         };
         let mut buffer = self.buffers.take(shape.total_bytes());
-        let mut sweep = SweepMut::create(buffer.as_mut(), &shape).expect("taken for this shape");
+        let sweep = SweepMut::create(buffer.as_mut(), &shape).expect("taken for this shape");
         sweep.header.columns = columns as u32;
         sweep.header.flags = match sector.half_rad >= PI {
             true => flags::CIRCULAR,
@@ -208,11 +220,7 @@ impl Sensor {
                 }));
             }
         }
-        self.segmenter().segment(&mut sweep);
-        for one in &mut found {
-            one.label = sweep.label[one.column * rows + one.row];
-        }
-        View(found)
+        (buffer, found)
     }
 
     /// The product's, with nothing set but the mount. It keeps its memory from look to look, and
