@@ -85,6 +85,7 @@ pub mod daemon;
 pub mod doctor;
 pub mod export;
 pub mod files;
+pub mod floor;
 pub mod holder;
 pub mod http;
 pub mod input;

@@ -1,4 +1,5 @@
-//! `sweepd inspect`: describes a capture by headers, stamps and azimuths, and decodes it to find dark beams.
+//! `sweepd inspect`: describes a capture by headers, stamps and azimuths, and decodes it to find dark beams
+//! and the floor.
 
 mod flows;
 mod positions;
@@ -16,13 +17,15 @@ use positions::Positions;
 use turns::Turns;
 
 use super::CliError;
-use crate::admission::{DiscoveredSensors, Refused, Route, Sender};
+use super::options::MountOptions;
+use crate::admission::{DiscoveredSensors, Refused, Route};
 use crate::cure::{Dialect, explain_model};
 use crate::input::{Capture, LinkType, Placed};
 use crate::streams::{Stream, Streams};
 use crate::text::{count_of, grouped, rate, row, utc_text};
 use sweepd_core::assemble::{PacketGap, PacketOrder, Rejection};
 use sweepd_core::assemble::{Sector, TURN};
+use sweepd_core::segment::Mount;
 use sweepd_core::sensor::Model;
 use sweepd_core::sensor::detect::{DetectError, Detection, Detector};
 use sweepd_core::wire::data::{Banks, ReturnMode};
@@ -33,12 +36,16 @@ use sweepd_core::wire::{Content, DataPacket, Packet};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
-  sweepd inspect pcap_fixtures/street_vlp16_losses.pcap")]
+  sweepd inspect pcap_fixtures/street_vlp16_losses.pcap
+  sweepd inspect drive.pcap --pitch -10 --height 0.4")]
 pub struct Args {
     /// pcap or pcapng, plain or compressed with gzip or zstd, or a ROS bag with VelodyneScan messages
     /// (.mcap, .db3, .bag, or the folder of a ROS 2 bag); - is standard input
     #[arg(value_name = "CAPTURE")]
     pub capture: PathBuf,
+    /// How the sensors are said to be mounted: the floor is held against it.
+    #[command(flatten)]
+    mount: MountOptions,
 }
 
 /// Runs the command.
@@ -48,6 +55,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<(), CliError> {
     let mut capture = Capture::open(&args.capture)?;
     let mut streams = Streams::new(Vec::new());
+    let mount = args.mount.mount();
     let mut positions: BTreeMap<IpAddr, Positions> = BTreeMap::new();
     let mut flows = Flows::default();
     let read = loop {
@@ -57,7 +65,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
             Err(error) => break Err(error),
         };
         let datagram = placed.datagram;
-        match streams.take(&placed, DataStream::new)? {
+        match streams.take(&placed, |_, _| DataStream::new(mount))? {
             Ok((Route::Position(_), packet)) => {
                 let ip = datagram.source.ip().to_canonical();
                 positions.entry(ip).or_default().add(&packet);
@@ -265,9 +273,9 @@ impl Stream for DataStream {
 }
 
 impl DataStream {
-    fn new(_: usize, _: &Sender) -> Result<Self, CliError> {
+    fn new(mount: Option<Mount>) -> Result<Self, CliError> {
         Ok(Self {
-            turns: Turns::new().ok(),
+            turns: Turns::new(mount).ok(),
             ..Self::default()
         })
     }

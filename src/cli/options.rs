@@ -15,7 +15,7 @@ use crate::suggest::nearest;
 use sweepd_core::assemble::BodyBox;
 use sweepd_core::pipeline;
 use sweepd_core::segment::settings::{REMOVED, Removed, Table, Unit};
-use sweepd_core::segment::{self, SETTINGS, Setting};
+use sweepd_core::segment::{self, Mount, SETTINGS, Setting};
 use sweepd_core::sensor::Model;
 use sweepd_core::sensor::model::UnknownModel;
 use sweepd_core::sweep::layout::ReturnChoice;
@@ -213,15 +213,65 @@ impl clap::Args for Numbers {
 
 impl clap::FromArgMatches for Numbers {
     fn from_arg_matches(matches: &clap::ArgMatches) -> Result<Self, clap::Error> {
-        let mut given = Vec::new();
-        for setting in SETTINGS {
-            if let Some(&value) = matches.get_one::<f64>(setting.option) {
-                given.push((setting, value));
-            }
-        }
+        let given = given(matches, SETTINGS.iter());
         let is_given = |removed: &&Removed| matches.contains_id(removed.option);
         let removed = REMOVED.iter().filter(is_given).collect();
         Ok(Self { given, removed })
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &clap::ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+/// The values of these settings that were given as options.
+fn given(
+    matches: &clap::ArgMatches,
+    settings: impl Iterator<Item = &'static Setting>,
+) -> Vec<(&'static Setting, f64)> {
+    let mut given = Vec::new();
+    for setting in settings {
+        if let Some(&value) = matches.get_one::<f64>(setting.option) {
+            given.push((setting, value));
+        }
+    }
+    given
+}
+
+/// How a sensor is said to be mounted: the settings of `[sensor.mount]` that were given as options.
+#[derive(Clone, Debug)]
+pub struct MountOptions(Vec<(&'static Setting, f64)>);
+
+impl MountOptions {
+    /// The mount; `None` where nothing is said of it.
+    pub fn mount(&self) -> Option<Mount> {
+        let mut config = segment::Config::default();
+        for &(setting, value) in &self.0 {
+            setting.set(&mut config, value);
+        }
+        (!self.0.is_empty()).then_some(config.mount)
+    }
+
+    fn settings() -> impl Iterator<Item = &'static Setting> {
+        let settings = SETTINGS.iter();
+        settings.filter(|setting| setting.table == Table::Mount)
+    }
+}
+
+impl clap::Args for MountOptions {
+    fn augment_args(command: clap::Command) -> clap::Command {
+        command.args(Self::settings().map(argument))
+    }
+
+    fn augment_args_for_update(command: clap::Command) -> clap::Command {
+        Self::augment_args(command)
+    }
+}
+
+impl clap::FromArgMatches for MountOptions {
+    fn from_arg_matches(matches: &clap::ArgMatches) -> Result<Self, clap::Error> {
+        Ok(Self(given(matches, Self::settings())))
     }
 
     fn update_from_arg_matches(&mut self, matches: &clap::ArgMatches) -> Result<(), clap::Error> {

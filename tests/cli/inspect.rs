@@ -1,7 +1,11 @@
 //! What `sweepd inspect` tells.
 
+use std::time::Duration;
+
 use crate::common::data_dir;
-use crate::{Folder, fixture, inspect, made};
+use crate::{Folder, fixture, inspect, made, sweepd};
+use sweepd::sensor::Model;
+use sweepd_lab::cast::{Scene, Sensor, Spin, small_box};
 use sweepd_lab::testkit::stream;
 
 /// The value of a row of the text.
@@ -142,4 +146,60 @@ fn the_dark_beams_of_real_captures_are_named_and_no_others() {
         ),
     ];
     assert_eq!(named, expected.map(|(name, told)| (name.to_owned(), told)));
+}
+
+/// A VLP-16 at 0.4 m, nose 10 degrees down, in a hall with a box: what is printed is pasted into a
+/// configuration, and held against what the mount is said to be.
+#[test]
+fn the_floor_says_how_the_sensor_is_mounted() {
+    let mut sensor = Sensor::new(Model::Vlp16, 0.4);
+    sensor.pitch_rad = (-10_f64).to_radians();
+    let mut scene = Scene::with(vec![small_box(0.3, 2.0, 0.4)]);
+    scene.walls_m = 6.0;
+    let mut sent = Vec::new();
+    for (time, packet) in Spin::new(&sensor, &scene) {
+        if time > Duration::from_millis(450) {
+            break;
+        }
+        sent.push(made::Sent {
+            arrival_ns: 1_700_000_000_000_000_000 + time.as_nanos() as i64,
+            source: "192.168.1.201:2368".parse().unwrap(),
+            port: 2368,
+            payload: packet.emit().to_vec(),
+        });
+    }
+    let folder = Folder::new("floor");
+    let path = folder.write("floor.pcap", made::pcap(&sent));
+    let text = inspect(&path).done();
+    let number = |key: &str| -> f64 {
+        let mut lines = text.lines().map(str::trim);
+        let value = lines.find_map(|line| line.strip_prefix(key)?.strip_prefix(" = "));
+        value
+            .unwrap_or_else(|| panic!("no {key} in\n{text}"))
+            .parse()
+            .unwrap()
+    };
+    assert!((number("height_m") - 0.4).abs() <= 0.008, "{text}");
+    assert!((number("pitch_deg") + 10.0).abs() <= 0.5, "{text}");
+    assert!(number("roll_deg").abs() <= 0.5, "{text}");
+    assert!(
+        text.contains("[sensor.mount]") && !text.contains("warning"),
+        "{text}"
+    );
+    let path = path.to_str().unwrap();
+    for (said, is_off) in [
+        (["--pitch=-10", "--height=0.4"], false),
+        (["--pitch=-8.5", "--roll=1"], false),
+        (["--pitch=0", "--roll=0"], true),
+        (["--pitch=-10", "--height=0.5"], true),
+    ] {
+        let text = sweepd(&["inspect", path, said[0], said[1]]).done();
+        assert_eq!(text.contains("warning"), is_off, "{said:?}:\n{text}");
+    }
+    // Head down, the floor would be on the other side.
+    let text = sweepd(&["inspect", path, "--roll=180"]).done();
+    assert!(
+        row(&text, "floor").starts_with("no floor is seen"),
+        "{text}"
+    );
 }

@@ -1,24 +1,29 @@
-//! The turns of a sensor, decoded to find dark beams.
+//! The turns of a sensor, decoded to find dark beams and the floor.
 
-use crate::beams;
 use crate::text::row;
+use crate::{beams, floor};
 use sweepd_core::buffers::{HeapBuffers, Memory};
+use sweepd_core::floor::{FloorFinder, Sight};
 use sweepd_core::pipeline::{Config, DarkBeam, Labels, Options, Pipeline};
-use sweepd_core::segment::ConfigError;
+use sweepd_core::segment::{ConfigError, Mount};
+use sweepd_core::sweep::SweepRef;
 use sweepd_core::wire::Packet;
 
 /// Decodes the sweeps of a sensor.
 pub struct Turns {
     pipeline: Pipeline,
     memory: Memory<HeapBuffers>,
+    floor: FloorFinder,
+    /// The mount that was said, if one was.
+    said: Option<Mount>,
 }
 
 impl Turns {
-    /// None so far.
+    /// None so far, of a sensor that is said to be mounted like this.
     ///
     /// # Errors
     /// Never: the configuration is possible.
-    pub fn new() -> Result<Self, ConfigError> {
+    pub fn new(said: Option<Mount>) -> Result<Self, ConfigError> {
         let options = Options {
             labels: Labels::Elsewhere,
             ..Options::default()
@@ -26,6 +31,8 @@ impl Turns {
         Ok(Self {
             pipeline: Pipeline::with_options("", Config::default(), options)?,
             memory: Memory::default(),
+            floor: FloorFinder::new(said.unwrap_or_default()),
+            said,
         })
     }
 
@@ -33,14 +40,42 @@ impl Turns {
     pub fn add(&mut self, packet: &Packet<'_>) {
         self.pipeline.push(packet);
         // What cannot be decoded is told with the model.
-        while self.pipeline.poll(&mut self.memory).is_some() {}
+        while let Some(event) = self.pipeline.poll(&mut self.memory) {
+            if let Some(bytes) = event.sweep()
+                && let Ok(sweep) = SweepRef::open(bytes.as_ref())
+            {
+                self.floor.look(&sweep);
+            }
+        }
     }
 
-    /// Adds a row for the beams that are dark at the end, if there are any.
+    /// Adds rows for the beams that are dark at the end, if there are any, and for the floor.
     pub fn describe(&self, text: &mut String) {
         let dark: Vec<DarkBeam> = self.pipeline.status().dark_beams.iter().collect();
         if let Some(sentence) = beams::sentence(&dark) {
             row(text, "dark beams", sentence);
+        }
+        self.describe_floor(text);
+    }
+
+    /// The mount that the floor gives, to be copied into a configuration.
+    fn describe_floor(&self, text: &mut String) {
+        let seen = match self.floor.sight() {
+            Sight::Unknown => return,
+            Sight::NoFloor => return row(text, "floor", floor::NOT_SEEN),
+            Sight::Floor(seen) => seen,
+        };
+        row(text, "floor", format_args!("{}:", floor::MOUNTED));
+        for line in floor::lines(&seen).lines() {
+            row(text, "", line);
+        }
+        let difference = self.said.and_then(|said| floor::difference(&seen, &said));
+        if let Some(difference) = difference {
+            row(
+                text,
+                "warning",
+                format_args!("{difference}: {}", floor::CURE),
+            );
         }
     }
 }
