@@ -4,13 +4,14 @@ use std::net::{IpAddr, SocketAddr};
 use std::time::{Duration, Instant};
 
 use super::observe::{ObservedPort, ObservedSensor, PortResult, PositionSender};
-use super::plan::Plan;
+use super::plan::{ExpectedSensor, Plan};
 use crate::admission::{Refusal, Route, Sender};
 use crate::cure::{Dialect, explain};
 use crate::input::{Placed, UdpConfig, UdpError, UdpSource};
 use crate::sensor_settings::FieldOfView;
 use crate::streams::{Stream, Streams};
 use sweepd_core::buffers::{HeapBuffers, Memory};
+use sweepd_core::floor::FloorFinder;
 use sweepd_core::pipeline::{Config, Event, Notice, Pipeline};
 use sweepd_core::segment::ConfigError;
 use sweepd_core::sweep::SweepRef;
@@ -55,6 +56,7 @@ struct DecodedSensor {
     pipeline: Pipeline,
     memory: Memory<HeapBuffers>,
     sweeps: u64,
+    floor: FloorFinder,
 }
 
 /// Opens all ports of the plan and listens for a time. `opened` gets the ports that could be opened
@@ -83,7 +85,7 @@ pub fn listen(
             };
             let port = listener.port();
             // GPS time goes to the sensor of the same address, on any port of its data.
-            for (address, packet) in listener.receive(&mut positions)? {
+            for (address, packet) in listener.receive(&plan.sensors, &mut positions)? {
                 for sensor in listeners
                     .iter_mut()
                     .flatten()
@@ -147,13 +149,15 @@ impl Listener {
     /// sensors of other ports.
     fn receive(
         &mut self,
+        sensors: &[ExpectedSensor],
         positions: &mut Vec<PositionSender>,
     ) -> Result<Vec<(IpAddr, Packet<'static>)>, UdpError> {
         let mut for_sensors = Vec::new();
         for datagram in self.source.receive(TURN)? {
             let placed = Placed::from(datagram);
             // The usual segmentation, which a sensor asks for, is possible.
-            match self.streams.take(&placed, DecodedSensor::new) {
+            let begin = |_, sender: &Sender| DecodedSensor::new(sender, sensors);
+            match self.streams.take(&placed, begin) {
                 Ok(Ok((Route::Position(_), packet))) => {
                     let address = datagram.source.ip();
                     note_position(positions, address, &packet);
@@ -183,13 +187,17 @@ impl Stream for DecodedSensor {
 }
 
 impl DecodedSensor {
-    fn new(_: usize, sender: &Sender) -> Result<Self, ConfigError> {
+    /// A sensor that has sent nothing yet, mounted as the one of these that it is taken for.
+    fn new(sender: &Sender, sensors: &[ExpectedSensor]) -> Result<Self, ConfigError> {
+        let observed = ObservedSensor::new(sender.source, sender.destination_port);
+        let expected = sensors.iter().find(|one| observed.matches(one));
         let mut config = Config::default();
         // The labels are not used.
         config.segment.min_range_m = 0.0;
         config.segment.max_range_m = 0.01;
         Ok(Self {
-            observed: ObservedSensor::new(sender.source, sender.destination_port),
+            floor: FloorFinder::new(expected.map(|one| one.mount).unwrap_or_default()),
+            observed,
             pipeline: Pipeline::new("", config)?,
             memory: Memory::default(),
             sweeps: 0,
@@ -225,6 +233,7 @@ impl DecodedSensor {
             let end_ns = header.time_ns + header.duration_ns as i64;
             observed.host_ahead_s = Some((header.arrival_ns - end_ns) as f64 * 1e-9);
         }
+        self.floor.look(sweep);
         self.sweeps += 1;
         // The first one begins anywhere.
         if self.sweeps > 1 {
@@ -243,6 +252,7 @@ impl DecodedSensor {
         let status = self.pipeline.status();
         self.observed.counts = status.counts;
         self.observed.dark_beams = status.dark_beams.iter().collect();
+        self.observed.floor = self.floor.sight();
         if let Some(detection) = status.detection {
             self.observed.model = Some(detection.model);
             self.observed

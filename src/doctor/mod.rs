@@ -80,6 +80,8 @@ pub enum Topic {
     Calibration,
     /// The lasers.
     Lasers,
+    /// How the sensor is mounted, by the floor that it sees.
+    Mount,
     /// An interface of this host.
     Interface,
     /// Shared memory: its size, and whose it is.

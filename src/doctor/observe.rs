@@ -9,6 +9,7 @@ use super::plan::{ExaminedPort, ExpectedSensor, Plan};
 use crate::input::udp::ReceiveBuffer;
 use crate::sensor_settings::FieldOfView;
 use crate::web_interface::Page;
+use sweepd_core::floor::Sight;
 use sweepd_core::pipeline::{Counts, DarkBeam};
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::data::ReturnMode;
@@ -136,6 +137,8 @@ pub struct ObservedSensor {
     pub flags: u32,
     /// Beams that are dark at the end.
     pub dark_beams: Vec<DarkBeam>,
+    /// What it sees of the floor.
+    pub floor: Sight,
     /// How far the host's clock is ahead of UTC by GPS, seconds, where GPS vouches for it.
     pub host_ahead_s: Option<f64>,
 }
@@ -156,6 +159,7 @@ impl ObservedSensor {
             fov: None,
             flags: 0,
             dark_beams: Vec::new(),
+            floor: Sight::Unknown,
             host_ahead_s: None,
         }
     }

@@ -7,6 +7,7 @@ use crate::daemon::config::{Config, PortConfig, SensorConfig};
 use crate::input::UdpConfig;
 use crate::input::udp::ample_buffer_bytes;
 use crate::sensor_settings::Settings;
+use sweepd_core::segment::Mount;
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::{DATA_PORT, POSITION_PORT};
 
@@ -62,6 +63,8 @@ pub struct ExpectedSensor {
     pub max_consumers: usize,
     /// Pixels of the smallest segment.
     pub min_points: usize,
+    /// How it is mounted.
+    pub mount: Mount,
 }
 
 impl ExpectedSensor {
@@ -76,6 +79,7 @@ impl ExpectedSensor {
             dual: sensor.dual,
             max_consumers: sensor.max_consumers,
             min_points: sensor.pipeline.segment.min_points as usize,
+            mount: sensor.pipeline.segment.mount,
         }
     }
 }

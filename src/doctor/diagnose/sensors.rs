@@ -3,10 +3,11 @@
 use std::fmt::Display;
 
 use super::Findings;
-use crate::beams;
 use crate::doctor::observe::{Observations, ObservedSensor, PortResult, PositionSender};
 use crate::doctor::plan::ExpectedSensor;
 use crate::doctor::{Severity, Topic};
+use crate::{beams, floor};
+use sweepd_core::floor::Sight;
 use sweepd_core::pipeline::DarkBeam;
 use sweepd_core::sensor::{Model, ModelExt};
 use sweepd_core::sweep::layout::flags;
@@ -51,6 +52,7 @@ pub(super) fn find(seen: &Observations, findings: &mut Findings) {
             check.loss(seen);
             check.settings(seen.web_at(sensor.source.ip()).is_some());
             check.beams();
+            check.floor();
             check.clock(seen.position_sender(sensor.source.ip()));
         }
     }
@@ -284,6 +286,23 @@ impl SensorCheck<'_> {
                 false => Severity::Note,
             };
             self.add(severity, Topic::Lasers, sentence, beams::CURE);
+        }
+    }
+
+    fn floor(&mut self) {
+        let floor = match self.sensor.floor {
+            Sight::Unknown => return,
+            Sight::NoFloor => return self.note(Topic::Mount, floor::NOT_SEEN, ""),
+            Sight::Floor(floor) => floor,
+        };
+        let lines = floor::lines(&floor);
+        let set = self.expected.map(|expected| &expected.mount);
+        match set.and_then(|set| floor::difference(&floor, set)) {
+            Some(difference) => {
+                let cure = format!("{}:\n{lines}", floor::CURE);
+                self.warning(Topic::Mount, difference, &cure);
+            }
+            None => self.note(Topic::Mount, floor::MOUNTED, &lines),
         }
     }
 

@@ -14,7 +14,9 @@ use crate::sensor_settings::{
     FieldOfView, Host as Destination, PhaseLock, Port, Returns, Rpm, Settings, Switch,
 };
 use crate::web_interface::Page;
+use sweepd_core::floor::{Floor, Sight};
 use sweepd_core::pipeline::{Counts, DarkBeam};
+use sweepd_core::segment::Mount;
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::layout::flags;
 use sweepd_core::wire::data::ReturnMode;
@@ -76,6 +78,7 @@ fn healthy() -> Observations {
         dual: Some(false),
         max_consumers: 4,
         min_points: 10,
+        mount: Mount::default(),
     };
     let ports = vec![port(2368, 3770), port(8308, 40)];
     let interface = Interface {
@@ -180,6 +183,51 @@ fn of_a_healthy_sensor_there_is_nothing_to_say() {
     let mut seen = healthy();
     (seen.plan.sensors, seen.web) = (Vec::new(), Vec::new());
     assert_eq!(diagnose(&seen), []);
+}
+
+/// Of a sensor that is heard here, and of one that a daemon hears.
+#[test]
+fn a_mount_that_is_not_the_floors_is_a_warning_with_the_lines_to_set() {
+    let floor = Floor {
+        height_m: 0.4,
+        pitch_rad: (-10_f32).to_radians(),
+        roll_rad: 0.0,
+        height_spread_m: 0.001,
+        pitch_spread_rad: 0.0,
+        roll_spread_rad: 0.0,
+        sweeps: 15,
+        looks: 15,
+    };
+    let lines = "[sensor.mount]\nheight_m = 0.400\npitch_deg = -10.0\nroll_deg = 0.0\n";
+    let off = ["the mount is set to pitch_deg = 0, roll_deg = 0", lines];
+    let unseen = ["no floor is seen"];
+    for (sight, mount, severity, parts) in [
+        (
+            Sight::Floor(floor),
+            floor.mount(),
+            Severity::Note,
+            &[lines][..],
+        ),
+        (
+            Sight::Floor(floor),
+            Mount::default(),
+            Severity::Warning,
+            &off,
+        ),
+        (Sight::NoFloor, Mount::default(), Severity::Note, &unseen),
+    ] {
+        let mut seen = healthy();
+        seen.sensors[0].floor = sight;
+        seen.plan.sensors[0].mount = mount;
+        is_only(&seen, severity, Topic::Mount, parts);
+        let floor = crate::floor::json(&sight, &mount);
+        let mut seen = healthy();
+        let health = json!({ "status": "ok", "sensors": [{ "name": "roof", "floor": floor }] });
+        seen.daemon = Some(Ok(health));
+        let findings = diagnose(&seen);
+        let told = findings.iter().find(|one| one.topic == Topic::Mount);
+        holds(told.unwrap(), severity, Topic::Mount, parts);
+    }
 }
 
 #[test]
