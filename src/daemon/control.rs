@@ -429,6 +429,7 @@ impl Control {
                         sensor.sharing.trouble().unwrap_or(why)
                     );
                 }
+                Event::Floor(sight, set) => log(&watcher.see_floor(sight, set)),
                 Event::SharedAgain => info!("{name}: sweeps are shared again"),
             }
         }

@@ -1,6 +1,6 @@
 //! How the daemon is: every sensor and port, with reasons, as `/health` has it.
 
-use crate::beams;
+use crate::{beams, floor};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
@@ -40,6 +40,7 @@ impl View {
             is_fault: true,
             recent: None,
             losses: None,
+            floor: Default::default(),
         };
         let conditions = vec![waiting; sensors.len()];
         Self {
@@ -185,6 +186,7 @@ fn sensor(sensor: &SensorStatus, is: &Condition) -> Value {
         "temperature_c": counters.temperature_c(),
         "gps": counters.gps().map(|gps| gps.word()),
         "dark_beams": beams::json(&counters.dark_beams()),
+        "floor": floor::json(&is.floor.0, &is.floor.1),
         "shared_bytes": sensor.sharing.reserved_bytes(),
         "sharing_trouble": sensor.sharing.trouble(),
         "renewed_because": sensor.sharing.renewed_because(),

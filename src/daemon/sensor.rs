@@ -12,8 +12,9 @@ use crate::sensor_settings::FieldOfView;
 use sweepd_client::host::{monotonic_ns, realtime_ns};
 use sweepd_core::assemble::vouched_utc_ns;
 use sweepd_core::buffers::{Buffers, Memory};
+use sweepd_core::floor::{FloorFinder, Sight};
 use sweepd_core::pipeline::{self, Arrival, Counts, Fault, Notice, Options, Pipeline};
-use sweepd_core::segment::ConfigError;
+use sweepd_core::segment::{ConfigError, Mount};
 use sweepd_core::sensor::unit::Unit;
 use sweepd_core::sweep::layout::{Completion, flags};
 use sweepd_core::sweep::objects::{self, Sending, flags as objects_flags};
@@ -39,6 +40,9 @@ pub enum Event {
     NotShared(String),
     /// They can again.
     SharedAgain,
+    /// What it sees of the floor, once that is certain and when it has changed much, and the mount
+    /// that is set.
+    Floor(Sight, Mount),
 }
 
 /// A sensor at work.
@@ -65,6 +69,9 @@ pub struct Sensor<B: Buffers> {
     objects: Option<Box<dyn ObjectsOutput>>,
     objects_config: ObjectsConfig,
     finds_objects: bool,
+    floor: FloorFinder,
+    /// What was reported of the floor.
+    told_floor: Sight,
 }
 
 /// Names of a sensor, and the receivers of its events and counts.
@@ -99,6 +106,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
             events,
         } = identity;
         let pipeline = pipeline(&address, &config, None)?;
+        let floor = FloorFinder::new(config.segment.mount);
         Ok(Self {
             index,
             name,
@@ -117,6 +125,8 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
             objects: None,
             objects_config: ObjectsConfig::default(),
             finds_objects: false,
+            floor,
+            told_floor: Sight::Unknown,
         })
     }
 
@@ -226,6 +236,8 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         self.counted += before.status().counts;
         // They are counted anew.
         self.counters.set_dark_beams(iter::empty());
+        self.floor = FloorFinder::new(config.segment.mount);
+        self.told_floor = Sight::Unknown;
         self.config = config;
         self.finds_objects = false;
         self.run_ns = realtime_ns();
@@ -267,6 +279,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         let Ok(whole) = SweepMut::open(sweep.as_mut()) else {
             return self.counters.unshared.add(1);
         };
+        let shows_floor = self.floor.sample(&whole.as_ref());
         let header = whole.header;
         let dropped_datagrams = u32::try_from(dropped - self.dropped_before).unwrap_or(u32::MAX);
         let name = &self.name[..];
@@ -284,6 +297,20 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
             .set_dark_beams(self.pipeline.status().dark_beams.iter());
         self.publish_held();
         self.publish(sweep, completed_monotonic_ns);
+        // Consumers do not wait for this.
+        if shows_floor {
+            self.floor.fit();
+            self.tell_floor();
+        }
+    }
+
+    /// Reports what is seen of the floor, if that is news.
+    fn tell_floor(&mut self) {
+        let sight = self.floor.sight();
+        if self.floor.is_settled() && sight.is_news_after(&self.told_floor) {
+            self.told_floor = sight;
+            self.report(Event::Floor(sight, self.config.segment.mount));
+        }
     }
 
     /// Publishes a sweep, or holds it until its shared memory is ready.

@@ -5,9 +5,11 @@ use std::fmt;
 use std::time::Duration;
 
 use super::losses::{Level, Limits, Losses, Recent, SensorAddress, Tally, Turn};
-use crate::beams;
 use crate::sensor_settings::{FieldOfView, Settings};
+use crate::{beams, floor};
+use sweepd_core::floor::Sight;
 use sweepd_core::pipeline::DarkBeam;
+use sweepd_core::segment::Mount;
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::data::ReturnMode;
 
@@ -144,6 +146,8 @@ pub struct Condition {
     pub recent: Option<Recent>,
     /// The same in words, if packets are missing: share and cause, and the cure.
     pub losses: Option<[String; 2]>,
+    /// What it sees of the floor, and the mount that is set.
+    pub floor: (Sight, Mount),
 }
 
 /// Watches one sensor.
@@ -169,6 +173,7 @@ pub struct Watcher {
     unlike: Vec<(&'static str, String)>,
     /// The beams that have been dark for so long that people are to be warned.
     dark: Vec<DarkBeam>,
+    floor: (Sight, Mount),
     /// Model and mode as last logged.
     told: Option<(Model, ReturnMode)>,
 }
@@ -197,6 +202,7 @@ impl Watcher {
             is_off_speed: false,
             unlike: Vec::new(),
             dark: Vec::new(),
+            floor: Default::default(),
             told: None,
         }
     }
@@ -229,6 +235,7 @@ impl Watcher {
             is_fault,
             recent,
             losses,
+            floor: self.floor,
         }
     }
 
@@ -241,6 +248,7 @@ impl Watcher {
     pub fn reconfigured(&mut self) {
         self.hindrance = None;
         self.losses.begin_anew();
+        self.floor = Default::default();
     }
 
     /// Other settings are wanted from now on.
@@ -341,6 +349,22 @@ impl Watcher {
         }
         let is_over = self.dark.is_empty() && !was.is_empty();
         is_over.then(|| self.message(false, BEAMS_ARE_BACK))
+    }
+
+    /// Takes what is seen of the floor, and gives the message: how the sensor is mounted by it, and
+    /// whether that is how it is set.
+    pub fn see_floor(&mut self, sight: Sight, set: Mount) -> Message {
+        self.floor = (sight, set);
+        let Sight::Floor(seen) = sight else {
+            return self.message(false, floor::NOT_SEEN);
+        };
+        let line = floor::line(&seen);
+        match floor::difference(&seen, &set) {
+            Some(difference) => {
+                self.message(true, &format!("{difference}: {}: {line}", floor::CURE))
+            }
+            None => self.message(false, &format!("{}: {line}", floor::MOUNTED)),
+        }
     }
 
     fn next(&self, now: &Observation, has_swept: bool) -> State {
@@ -478,6 +502,7 @@ const NO_SWEEP: &str =
 mod tests {
     use super::*;
     use crate::sensor_settings::{Returns, Rpm};
+    use sweepd_core::floor::Floor;
 
     const RUNNING: Running = Running {
         model: Model::Vlp16,
@@ -713,6 +738,33 @@ mod tests {
             told.extend(roof.observe(1, 75, 1));
         }
         told
+    }
+
+    #[test]
+    fn a_floor_is_told_with_the_mount_that_it_gives() {
+        let mut roof = Watched::new(None);
+        let told = roof.watcher.see_floor(Sight::NoFloor, Mount::default());
+        assert!(!told.is_warning && told.text.starts_with("roof: no floor"));
+        let floor = Floor {
+            height_m: 0.4,
+            pitch_rad: (-10_f32).to_radians(),
+            roll_rad: 0.0,
+            height_spread_m: 0.001,
+            pitch_spread_rad: 0.0,
+            roll_spread_rad: 0.0,
+            sweeps: 15,
+            looks: 15,
+        };
+        let line =
+            "mount = { height_m = 0.400, pitch_deg = -10.0, roll_deg = 0.0 }  # spread 0.001 m";
+        for (set, is_warning) in [(floor.mount(), false), (Mount::default(), true)] {
+            let told = roof.watcher.see_floor(Sight::Floor(floor), set);
+            assert!(
+                told.is_warning == is_warning && told.text.contains(line),
+                "{told:?}"
+            );
+        }
+        assert_eq!(roof.watcher.condition().floor.0, Sight::Floor(floor));
     }
 
     #[test]
