@@ -10,11 +10,14 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use hyper::body::Bytes;
 use serde::Serialize;
+use serde_json::Value;
+use sweepd::floor;
 use sweepd_core::buffers::HeapBuffer;
 use sweepd_core::buffers::{Buffers, HeapBuffers};
-use sweepd_core::segment;
+use sweepd_core::floor::FloorFinder;
+use sweepd_core::segment::{self, Mount};
 use sweepd_core::sweep::SweepRef;
-use sweepd_core::sweep::layout::LayoutError;
+use sweepd_core::sweep::layout::{LayoutError, flags};
 use tokio::sync::watch;
 
 /// Commands that wait at most; more are refused.
@@ -52,6 +55,9 @@ pub(super) struct Description {
     /// this view has not.
     pub told: bool,
     pub masked: bool,
+    /// What the sweeps show of the floor: the lines of a mount, and what is wrong with the one that is
+    /// set, each `null` where there is none.
+    pub floor: Value,
     /// What the sweeps are segmented with, as far as it is known.
     #[serde(skip)]
     pub segment: segment::Config,
@@ -124,6 +130,7 @@ pub(super) struct Publisher {
     pub(super) commands: Receiver<Command>,
     over: Arc<AtomicBool>,
     ordinal: u64,
+    floor: FloorFinder,
 }
 
 /// The two sides of the channels, without a sweep. The source ends when `over` is set.
@@ -143,6 +150,7 @@ pub(super) fn channels(
         commands: for_commands,
         over,
         ordinal: 0,
+        floor: FloorFinder::new(Mount::default()),
     };
     let channels = Channels {
         description: of_description,
@@ -189,6 +197,9 @@ impl Publisher {
     /// Shows a sweep; `missed` is how many this program did not get before it.
     pub(super) fn show(&mut self, index: Option<u64>, missed: u64, bytes: Bytes) {
         self.ordinal = self.ordinal.saturating_add(missed).saturating_add(1);
+        if let Ok(sweep) = SweepRef::open(&bytes) {
+            self.look_at_floor(&sweep);
+        }
         let frame = Frame {
             index,
             ordinal: self.ordinal,
@@ -197,8 +208,33 @@ impl Publisher {
         self.frame.send_replace(Some(Arc::new(frame)));
     }
 
+    /// Looks for the floor in a sweep, below a sensor that is mounted as its header says.
+    fn look_at_floor(&mut self, sweep: &SweepRef<'_>) {
+        let header = sweep.header;
+        let is_set = header.height_m > 0.0 && !header.has(flags::HEIGHT_ESTIMATED);
+        let set = Mount {
+            height_m: is_set.then_some(header.height_m),
+            pitch_rad: header.pitch_rad,
+            roll_rad: header.roll_rad,
+        };
+        if *self.floor.mount() != set {
+            self.floor = FloorFinder::new(set);
+        }
+        if self.floor.look(sweep) {
+            let floor = floor::json(&self.floor.sight(), &set);
+            self.describe(|now| now.floor = floor);
+        }
+    }
+
+    /// What comes next is of another sensor, which sits elsewhere.
+    pub(super) fn forget_floor(&mut self) {
+        self.floor = FloorFinder::new(Mount::default());
+        self.describe(|now| now.floor = Value::Null);
+    }
+
     /// Shows nothing.
     pub(super) fn clear(&mut self) {
+        self.forget_floor();
         self.frame.send_replace(None);
     }
 }

@@ -20,6 +20,8 @@ export class Tuning {
     this.summary = part("summary");
     this.base = part("base");
     this.masked = part("masked");
+    this.floor = part("floor");
+    this.trouble = part("trouble");
     this.reset = part("reset");
     this.modes = [...root.querySelectorAll("[data-compare]")];
     this.methods.addEventListener("change", () => this.changed());
@@ -31,9 +33,14 @@ export class Tuning {
   }
 
   /** Takes the options of the source. Those that were changed stay, unless the options are others. */
-  source({ kind, told, masked, settings, methods, method }) {
+  source({ kind, told, masked, settings, methods, method, floor }) {
     this.base.hidden = kind !== "sensor" || told;
     this.masked.hidden = !masked;
+    const { lines, trouble } = floor ?? {};
+    this.floor.textContent = lines ?? "";
+    this.floor.hidden = !lines;
+    this.trouble.textContent = trouble ?? "";
+    this.trouble.hidden = !trouble;
     const key = JSON.stringify([settings, methods, method]);
     if (key === this.known) return;
     this.known = key;

@@ -18,6 +18,7 @@ use self::reader::Origin;
 use self::reader::Reader;
 use super::Source;
 use super::channels::{Channels, Description, Kind, State, channels};
+use serde_json::Value;
 use sweepd::cli::CliError;
 use sweepd_core::segment;
 
@@ -62,6 +63,7 @@ pub(super) fn start(source: Source) -> Result<(Running, Channels), CliError> {
         marks: Vec::new(),
         told: false,
         masked: false,
+        floor: Value::Null,
         segment,
         configured,
     };

@@ -226,6 +226,7 @@ impl Player {
                     && sensor != self.sensor()
                 {
                     self.sensor.store(sensor, Ordering::Relaxed);
+                    self.publisher.forget_floor();
                     self.publisher
                         .describe(|now| (now.sweeps, now.marks) = (Some(0), Vec::new()));
                     self.restart();
