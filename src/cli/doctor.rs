@@ -1,5 +1,7 @@
 //! `sweepd doctor`: prints faults, and how to mend them.
 
+mod obstacle;
+
 use std::io::{self, Write};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
@@ -13,6 +15,7 @@ use super::{CliError, complain};
 use crate::beams;
 use crate::daemon::config::Config;
 use crate::doctor::diagnose::sweep_bytes;
+use crate::doctor::obstacle::Obstacle;
 use crate::doctor::plan::HEALTH;
 use crate::doctor::{ExamineError, Finding, Observations, Plan, Severity, diagnose, examine};
 use crate::publish::pool_sweeps;
@@ -26,19 +29,34 @@ Examples:
   sweepd doctor
   sweepd doctor --config /etc/sweepd/sweepd.toml
   sweepd doctor --sensor 192.168.1.201 --seconds 10
-  sweepd doctor --port 2369 --port 8309 --no-web --json")]
+  sweepd doctor --port 2369 --port 8309 --no-web --json
+  sweepd doctor --obstacle 0.25,2 --config /etc/sweepd/sweepd.toml
+  sweepd doctor --obstacle 0.25,2,-30 --config sweepd.toml --sensor roof drive.pcap")]
 pub struct Args {
+    /// With --obstacle: a capture instead of live packets
+    #[arg(value_name = "CAPTURE", requires = "obstacle", conflicts_with_all = ["ports", "bind", "multicast", "interface"])]
+    capture: Option<PathBuf>,
+    /// Whether a box on the floor is an object of its own in 100 sweeps of a running daemon, or of
+    /// the packets that come: its height and its distance from the robot's origin, metres; its
+    /// azimuth, degrees clockwise from straight ahead [default: 0]; its width, metres [default: 0.4]
+    #[arg(
+        long,
+        value_name = "HEIGHT,DISTANCE[,AZIMUTH[,WIDTH]]",
+        allow_negative_numbers = true
+    )]
+    obstacle: Option<Obstacle>,
     /// Listen on the ports of this daemon configuration, and compare what comes with its sensors
     #[arg(long, value_name = "FILE", conflicts_with_all = ["ports", "bind", "multicast", "interface", "health"])]
     config: Option<PathBuf>,
-    /// How long to listen, seconds
+    /// How long to listen, seconds; with --obstacle, how long to wait for a sweep
     #[arg(long, value_name = "S", default_value = "5", value_parser = within(0.1..=3600.0, "seconds"))]
     seconds: f64,
     #[command(flatten)]
     listening: Listening,
-    /// Ask the web page of this sensor even if nothing comes from it; may be given several times
-    #[arg(long = "sensor", value_name = "IP")]
-    sensors: Vec<Ipv4Addr>,
+    /// Ask the web page of this sensor even if nothing comes from it; may be given several times.
+    /// With --obstacle, the sensor to try, by its address or its name
+    #[arg(long = "sensor", value_name = "IP|NAME")]
+    sensors: Vec<String>,
     /// Ask no sensor for its settings
     #[arg(long)]
     no_web: bool,
@@ -54,15 +72,18 @@ pub struct Args {
 }
 
 impl Args {
-    fn plan(&self) -> Result<Plan, CliError> {
-        let mut plan = match &self.config {
-            Some(file) => {
-                let config = Config::read(file)?;
-                for warning in &config.warnings {
-                    complain("warning", warning);
-                }
-                Plan::of(&config)
-            }
+    /// The configuration, if one is named.
+    fn read_config(&self) -> Result<Option<Config>, CliError> {
+        let config = self.config.as_deref().map(Config::read).transpose()?;
+        for warning in config.iter().flat_map(|config| &config.warnings) {
+            complain("warning", warning);
+        }
+        Ok(config)
+    }
+
+    fn plan(&self, config: Option<&Config>) -> Plan {
+        match config {
+            Some(config) => Plan::of(config),
             None => {
                 let listening = &self.listening;
                 let interface = listening.interface.as_deref();
@@ -76,9 +97,7 @@ impl Args {
                     )
                 }
             }
-        };
-        plan.ask.extend(&self.sensors);
-        Ok(plan)
+        }
     }
 }
 
@@ -110,9 +129,22 @@ struct SensorReport {
 /// # Errors
 /// [`CliError`]; [`CliError::Reported`] if there are faults, after they were printed.
 pub fn run(args: &Args) -> Result<(), CliError> {
+    let config = args.read_config()?;
+    let mut plan = args.plan(config.as_ref());
+    if let Some(obstacle) = args.obstacle {
+        return obstacle::run(args, obstacle, config.as_ref(), &plan);
+    }
+    for address in &args.sensors {
+        let address = address.parse::<Ipv4Addr>();
+        plan.ask.push(address.map_err(|_| {
+            CliError::Usage(
+                "--sensor: expected an IPv4 address; a name needs --obstacle".to_owned(),
+            )
+        })?);
+    }
     let web_port = (!args.no_web).then_some(args.web_port);
     let seen = examine(
-        args.plan()?,
+        plan,
         Duration::from_secs_f64(args.seconds),
         web_port,
         |ports| announce(ports, args),
@@ -159,8 +191,12 @@ fn print_json(seen: &Observations, findings: &[Finding], well: bool) -> io::Resu
         sensors: sensor_reports(seen),
         findings,
     };
+    write_json(&report)
+}
+
+fn write_json(report: &impl Serialize) -> io::Result<()> {
     let mut stdout = io::stdout().lock();
-    serde_json::to_writer_pretty(&mut stdout, &report)?;
+    serde_json::to_writer_pretty(&mut stdout, report)?;
     stdout.write_all(b"\n")
 }
 
@@ -187,22 +223,27 @@ fn print(seen: &Observations, findings: &[Finding]) -> io::Result<()> {
             expected.name
         )?;
     }
+    print_findings(&mut stdout, findings)?;
+    match findings.iter().filter(|one| one.is_trouble()).count() {
+        0 => writeln!(stdout, "all well"),
+        1 => writeln!(stdout, "1 thing is wrong"),
+        count => writeln!(stdout, "{count} things are wrong, the worst first"),
+    }
+}
+
+fn print_findings(out: &mut impl Write, findings: &[Finding]) -> io::Result<()> {
     for finding in findings {
         let severity = match finding.severity {
             Severity::Error => "error",
             Severity::Warning => "warning",
             Severity::Note => "note",
         };
-        writeln!(stdout, "{severity}: {}", finding.what)?;
+        writeln!(out, "{severity}: {}", finding.what)?;
         for step in finding.cure.lines() {
-            writeln!(stdout, "    {step}")?;
+            writeln!(out, "    {step}")?;
         }
     }
-    match findings.iter().filter(|one| one.is_trouble()).count() {
-        0 => writeln!(stdout, "all well"),
-        1 => writeln!(stdout, "1 thing is wrong"),
-        count => writeln!(stdout, "{count} things are wrong, the worst first"),
-    }
+    Ok(())
 }
 
 fn sensor_reports(seen: &Observations) -> Vec<SensorReport> {

@@ -8,6 +8,7 @@
 //! health    what a daemon says that holds a port
 //!               all of it Observations
 //! diagnose  Observations -> findings, worst first; pure
+//! obstacle  whether a box of known size and place is an object of its own
 //! ```
 
 pub mod diagnose;
@@ -15,6 +16,7 @@ pub mod health;
 pub mod host;
 pub mod listen;
 pub mod observe;
+pub mod obstacle;
 pub mod plan;
 pub mod web;
 
@@ -88,6 +90,8 @@ pub enum Topic {
     SharedMemory,
     /// What a running daemon complains about.
     Daemon,
+    /// A box that should be seen.
+    Obstacle,
 }
 
 /// A finding for people, and its cure.

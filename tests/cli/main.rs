@@ -16,6 +16,7 @@ mod jobs;
 mod made;
 mod mask;
 mod objects;
+mod obstacle;
 mod options;
 mod outputs;
 mod pages;

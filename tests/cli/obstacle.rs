@@ -1,0 +1,261 @@
+//! `doctor --obstacle`: boxes that a VLP-16 sees, and boxes that it does not, ray-cast into its packets.
+
+use std::io::{BufRead, BufReader, Read};
+use std::net::{SocketAddrV4, UdpSocket};
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+use sweepd::input::PcapWriter;
+use sweepd::input::write::Addressed;
+use sweepd::sensor::Model;
+use sweepd_lab::cast::{Scene, Sensor, Solid, Spin};
+
+use crate::common::temp_domain;
+use crate::{Folder, Ran, command, fixture};
+
+/// Tilt of the sensor, nose down, and its height above the floor.
+const PITCH_DEG: f64 = -10.0;
+const HEIGHT_M: f64 = 0.4;
+/// The box is 0.25 m high and its front 2 m ahead.
+const BOX: &str = "0.25,2";
+
+fn sensor() -> Sensor {
+    let mut sensor = Sensor::new(Model::Vlp16, HEIGHT_M);
+    sensor.pitch_rad = PITCH_DEG.to_radians();
+    sensor
+}
+
+fn cuboid(middle_m: [f64; 2], size_m: [f64; 3]) -> Solid {
+    Solid::Cuboid {
+        middle_m,
+        size_m,
+        yaw_rad: 0.0,
+    }
+}
+
+/// A room of 12 m with a box, 0.4 m wide and 0.3 m deep, whose front is 2 m ahead.
+fn room_with(mut others: Vec<Solid>) -> Scene {
+    others.push(cuboid([0.0, 2.15], [0.4, 0.3, 0.25]));
+    room(others)
+}
+
+fn room(solids: Vec<Solid>) -> Scene {
+    let mut scene = Scene::with(solids);
+    scene.walls_m = 6.0;
+    scene
+}
+
+/// The configuration of the sensor with this pitch, at 127.0.0.1.
+fn config(folder: &Folder, pitch_deg: f64, segment: &str) -> PathBuf {
+    let root = temp_domain();
+    let text = format!(
+        "root = {:?}\n[[sensor]]\nname = \"roof\"\naddress = \"127.0.0.1\"\nmount = {{ pitch_deg = {pitch_deg:?}, height_m = {HEIGHT_M} \
+         }}\nsegment = {{ {segment} }}\n",
+        root.root()
+    );
+    folder.write("sweepd.toml", text)
+}
+
+/// A capture of so many turns.
+fn capture(folder: &Folder, scene: &Scene, turns: u64) -> PathBuf {
+    let (sensor, path) = (sensor(), folder.path("box.pcap"));
+    let mut file = PcapWriter::new(std::fs::File::create(&path).unwrap()).unwrap();
+    let here: SocketAddrV4 = "127.0.0.1:2368".parse().unwrap();
+    for (after, packet) in Spin::new(&sensor, scene) {
+        if after > Duration::from_millis(100 * turns) {
+            break;
+        }
+        file.write(&Addressed {
+            arrival_ns: 1_700_000_000_000_000_000 + after.as_nanos() as i64 + 1_400_000,
+            source: here,
+            destination: here,
+            payload: packet.emit(),
+        })
+        .unwrap();
+    }
+    path
+}
+
+fn doctor(obstacle: &str, config: Option<&Path>, options: &[&str]) -> Ran {
+    let mut args = vec!["doctor", "--obstacle", obstacle];
+    if let Some(config) = config {
+        args.extend(["--config", config.to_str().unwrap()]);
+    }
+    let mut command = command(&[&args[..], options].concat());
+    Ran::of(command.output().unwrap())
+}
+
+/// What the doctor says of a box in a scene, in 20 turns.
+#[track_caller]
+fn says(obstacle: &str, scene: &Scene, pitch_deg: f64, segment: &str, code: i32, parts: &[&str]) {
+    let folder = Folder::new("obstacle");
+    let config = config(&folder, pitch_deg, segment);
+    let capture = capture(&folder, scene, 20);
+    let ran = doctor(obstacle, Some(&config), &[capture.to_str().unwrap()]);
+    println!("{}", ran.stdout);
+    assert_eq!((ran.code, &ran.stderr[..]), (code, ""), "{}", ran.stdout);
+    for part in parts {
+        assert!(ran.stdout.contains(part), "lacks {part:?}: {}", ran.stdout);
+    }
+}
+
+#[test]
+fn a_box_that_is_seen_is_told_in_time() {
+    let folder = Folder::new("obstacle");
+    let config = config(&folder, PITCH_DEG, "");
+    let capture = capture(&folder, &room_with(Vec::new()), 102);
+    let ran = doctor(BOX, Some(&config), &["--json", capture.to_str().unwrap()]);
+    assert_eq!((ran.code, &ran.stderr[..]), (0, ""), "{}", ran.stdout);
+    let report: Value = serde_json::from_str(&ran.stdout).unwrap();
+    assert_eq!(report["sweeps"], 100, "{report}");
+    assert_eq!(report["own"], 100, "{report}");
+    let number = |name: &str| report[name].as_f64().unwrap();
+    // The front as it was placed; 0.4 m at 2 m are 11 degrees, 57 columns in each row.
+    assert!((number("front_m") - 2.0).abs() < 0.04, "{report}");
+    assert!(number("right_m").abs() < 0.03, "{report}");
+    assert!((40.0..350.0).contains(&number("returns")), "{report}");
+    assert!((2.0..8.0).contains(&number("rows")), "{report}");
+    assert!(number("floor_m").abs() < 0.03, "{report}");
+    // It stands across the cut, behind which it is told.
+    assert!((0.0..40.0).contains(&number("told_ms")), "{report}");
+    assert!(report["told"].as_u64().unwrap() >= 95, "{report}");
+}
+
+#[test]
+fn a_wrong_mount_is_told_with_the_right_one() {
+    let low = room(vec![cuboid([0.0, 2.15], [0.4, 0.3, 0.15])]);
+    let cure = "about: pitch_deg = -10.0, roll_deg = 0.0, height_m = 0.40\n";
+    let ground = [
+        "rises by 3.0 degrees",
+        cure,
+        "(112 returns in 2 rows) are ground",
+    ];
+    says("0.15,2", &low, -7.0, "", 1, &ground);
+    let floor = ["rises by 5.0 degrees", cure, "one object with the floor"];
+    says(BOX, &room_with(Vec::new()), -5.0, "", 1, &floor);
+    // It is seen all the same.
+    let seen = [
+        "warning: the mount is not right",
+        "falls by 7.0 degrees",
+        cure,
+    ];
+    says(BOX, &room_with(Vec::new()), -17.0, "", 0, &seen);
+}
+
+#[test]
+fn what_it_is_joined_with_is_told() {
+    // 0.1 m behind it.
+    let wall = cuboid([0.0, 2.5], [4.0, 0.2, 1.0]);
+    let scene = room_with(vec![wall]);
+    let parts = [
+        "one object with something else, from 2.",
+        "left to",
+        "0.65 m between",
+    ];
+    says(BOX, &scene, PITCH_DEG, "", 1, &parts);
+}
+
+#[test]
+fn a_box_that_is_elsewhere_is_missed() {
+    let scene = room(vec![cuboid([1.0, 3.15], [0.4, 0.3, 0.25])]);
+    // Its front is at (0.8 to 1.2, 3).
+    let parts = [
+        "beams there return from farther away",
+        "the nearest is 3.",
+        "azimuth 1",
+        "0 of",
+    ];
+    says(BOX, &scene, PITCH_DEG, "", 1, &parts);
+}
+
+#[test]
+fn limits_that_cut_it_off_are_named() {
+    let scene = room_with(Vec::new());
+    for (segment, part) in [
+        ("min_range_m = 3", "`min_range_m` of `[sensor.segment]`"),
+        ("max_range_m = 1.5", "`max_range_m` of `[sensor.segment]`"),
+        ("min_points = 5000", "a segment has 5000 at least"),
+    ] {
+        says(BOX, &scene, PITCH_DEG, segment, 1, &[part]);
+    }
+}
+
+#[test]
+fn a_place_that_no_beam_meets_is_told() {
+    let scene = room(vec![cuboid([0.0, 0.4], [0.4, 0.3, 0.1])]);
+    says("0.1,0.25", &scene, 0.0, "", 1, &["no beam meets a box"]);
+}
+
+#[test]
+fn a_street_has_no_box() {
+    let street = fixture("street_vlp16.pcap.gz");
+    let ran = doctor("0.25,2", None, &[street.to_str().unwrap()]);
+    println!("{}", ran.stdout);
+    assert_eq!((ran.code, &ran.stderr[..]), (1, ""));
+    assert!(ran.stdout.contains("not well: "), "{}", ran.stdout);
+}
+
+#[test]
+fn a_box_that_cannot_be_meant_is_refused() {
+    for (obstacle, part) in [
+        ("0.25", "the distance is missing"),
+        ("0.25,x", "the distance is `x`, expected 0.1 to 100 metres"),
+        ("9,2", "the height is `9`"),
+        ("0.25,2,0,1,5", "`5` is too much"),
+    ] {
+        let ran = doctor(obstacle, None, &[]);
+        assert_eq!(ran.code, 2);
+        assert!(ran.stderr.contains(part), "{}", ran.stderr);
+    }
+    let street = fixture("street_vlp16.pcap.gz");
+    let ran = doctor(BOX, None, &["--sensor", "roof", street.to_str().unwrap()]);
+    ran.says(&["`roof`", "--config FILE"]);
+}
+
+/// Live over loopback, in real time: 5 sweeps, then nothing more comes.
+#[test]
+fn packets_that_come_are_judged() {
+    let domain = temp_domain();
+    let args = [
+        "doctor",
+        "--obstacle",
+        BOX,
+        "--port",
+        "0",
+        "--bind",
+        "127.0.0.1",
+        "--seconds",
+        "1",
+        "--json",
+    ];
+    let mut command = command(&args);
+    command.env("SWEEPD_ROOT", domain.root());
+    command.stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    let mut stderr = BufReader::new(child.stderr.take().unwrap());
+    let mut line = String::new();
+    stderr.read_line(&mut line).unwrap();
+    let port = line.strip_prefix("listening on port ").expect(&line);
+    let port: u16 = port.split(' ').next().unwrap().parse().unwrap();
+    let mut sensor = sensor();
+    sensor.pitch_rad = 0.0;
+    let scene = room_with(Vec::new());
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let begun = Instant::now();
+    for (due, packet) in Spin::new(&sensor, &scene).take(12 * 76) {
+        std::thread::sleep(due.saturating_sub(begun.elapsed()));
+        socket.send_to(packet.emit(), ("127.0.0.1", port)).unwrap();
+    }
+    let output = child.wait_with_output().unwrap();
+    let mut rest = String::new();
+    stderr.read_to_string(&mut rest).unwrap();
+    assert_eq!(rest, "");
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    println!("{report:#}");
+    let sweeps = report["sweeps"].as_u64().unwrap();
+    assert!((8..=12).contains(&sweeps), "{report}");
+    assert_eq!(report["own"], sweeps);
+    assert_eq!(output.status.code(), Some(0));
+}
