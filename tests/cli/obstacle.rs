@@ -12,6 +12,7 @@ use sweepd::input::write::Addressed;
 use sweepd::sensor::Model;
 use sweepd_lab::cast::{Scene, Sensor, Solid, Spin};
 
+use crate::common::setup::Setup;
 use crate::common::temp_domain;
 use crate::{Folder, Ran, command, fixture};
 
@@ -214,23 +215,24 @@ fn a_box_that_cannot_be_meant_is_refused() {
     ran.says(&["`roof`", "--config FILE"]);
 }
 
-/// Live over loopback, in real time: 5 sweeps, then nothing more comes.
+/// Sends turns of the sensor in a room with the box to a port, in real time.
+fn send(sensor: &Sensor, port: u16, turns: usize) {
+    let scene = room_with(Vec::new());
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let begun = Instant::now();
+    // 76 packets a turn.
+    for (due, packet) in Spin::new(sensor, &scene).take(76 * turns) {
+        std::thread::sleep(due.saturating_sub(begun.elapsed()));
+        socket.send_to(packet.emit(), ("127.0.0.1", port)).unwrap();
+    }
+}
+
+/// Live over loopback: a level sensor whose height is estimated.
 #[test]
 fn packets_that_come_are_judged() {
     let domain = temp_domain();
-    let args = [
-        "doctor",
-        "--obstacle",
-        BOX,
-        "--port",
-        "0",
-        "--bind",
-        "127.0.0.1",
-        "--seconds",
-        "1",
-        "--json",
-    ];
-    let mut command = command(&args);
+    let args = "doctor --obstacle 0.25,2 --port 0 --bind 127.0.0.1 --seconds 1 --json";
+    let mut command = command(&args.split(' ').collect::<Vec<_>>());
     command.env("SWEEPD_ROOT", domain.root());
     command.stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut child = command.spawn().unwrap();
@@ -239,23 +241,43 @@ fn packets_that_come_are_judged() {
     stderr.read_line(&mut line).unwrap();
     let port = line.strip_prefix("listening on port ").expect(&line);
     let port: u16 = port.split(' ').next().unwrap().parse().unwrap();
-    let mut sensor = sensor();
-    sensor.pitch_rad = 0.0;
-    let scene = room_with(Vec::new());
-    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
-    let begun = Instant::now();
-    for (due, packet) in Spin::new(&sensor, &scene).take(12 * 76) {
-        std::thread::sleep(due.saturating_sub(begun.elapsed()));
-        socket.send_to(packet.emit(), ("127.0.0.1", port)).unwrap();
-    }
+    send(&Sensor::new(Model::Vlp16, HEIGHT_M), port, 12);
     let output = child.wait_with_output().unwrap();
     let mut rest = String::new();
     stderr.read_to_string(&mut rest).unwrap();
     assert_eq!(rest, "");
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
-    println!("{report:#}");
     let sweeps = report["sweeps"].as_u64().unwrap();
     assert!((8..=12).contains(&sweeps), "{report}");
-    assert_eq!(report["own"], sweeps);
+    assert_eq!(report["own"], sweeps, "{report}");
     assert_eq!(output.status.code(), Some(0));
+}
+
+/// What is judged is what the daemon runs with: its tilt, which is not told here.
+#[test]
+fn a_running_daemon_is_asked() {
+    let mount = format!("mount = {{ pitch_deg = {PITCH_DEG:?}, height_m = {HEIGHT_M} }}");
+    let setup = Setup::new(&mount, "");
+    let _daemon = setup.daemon();
+    let port = setup.port;
+    let sending = std::thread::spawn(move || send(&sensor(), port, 60));
+    let _client = setup.client();
+    let args = "doctor --obstacle 0.25,2 --seconds 2 --json";
+    let mut command = command(&args.split(' ').collect::<Vec<_>>());
+    let ran = Ran::of(
+        command
+            .env("SWEEPD_ROOT", setup.own.root())
+            .output()
+            .unwrap(),
+    );
+    sending.join().unwrap();
+    assert_eq!((ran.code, &ran.stderr[..]), (0, ""), "{}", ran.stdout);
+    let report: Value = serde_json::from_str(&ran.stdout).unwrap();
+    assert_eq!(report["sensor"], "roof, by the running daemon");
+    let sweeps = report["sweeps"].as_u64().unwrap();
+    assert!(sweeps >= 20, "{report}");
+    assert_eq!(report["own"], sweeps, "{report}");
+    assert!(report["told"].as_u64().unwrap() >= 10, "{report}");
+    let told_ms = report["told_ms"].as_f64().unwrap();
+    assert!((0.0..100.0).contains(&told_ms), "{report}");
 }
