@@ -29,7 +29,7 @@ fn check_warns_of_a_sensor_on_its_side() {
     let folder = Folder::new("config-side");
     let file = folder.write(
         "robot.toml",
-        &TWO.replace("pitch_deg = -3", "roll_deg = -90"),
+        TWO.replace("pitch_deg = -3", "roll_deg = -90"),
     );
     let told = sweepd(&["config", "check", file.to_str().unwrap()]);
     assert_eq!(told.code, 0, "{}", told.stderr);

@@ -93,7 +93,6 @@ fn what_is_watched_is_what_is_replayed() {
             watched.stderr
         );
         let watched = sweeps(&watched.stdout);
-        let mut expected = expected;
         for line in &mut expected {
             line["sensor"] = "roof".into();
         }
