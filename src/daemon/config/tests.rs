@@ -382,14 +382,6 @@ fn what_cannot_be_meant_is_shown_with_its_line_and_a_cure() {
             &["4:20", "missing key `image`"],
         ),
         (
-            "segment = { mask = { image = \"\", remov = true } }",
-            &["unknown key `remov`", "did you mean `remove`?"],
-        ),
-        (
-            "segment = { mask = { image = \"\", remove = 1 } }",
-            &["wrong type", "expected a boolean"],
-        ),
-        (
             "segment = { remove_out_of_range = true }",
             &["removes nothing", "`min_range_m` or `max_range_m`"],
         ),
@@ -678,6 +670,13 @@ fn files_of_another_model_are_refused() {
         old.changes(&new)[0].to_string(),
         "sensor roof: removal by the mask false -> true"
     );
+    for (wrong, said) in [
+        ("remov = true", "did you mean `remove`?"),
+        ("remove = 1", "expected a boolean"),
+    ] {
+        let message = parse(&removing.replace("remove = true", wrong)).unwrap_err();
+        assert!(message.contains(said), "{message}");
+    }
     let message = parse(&format!("model = \"vlp16\"\n{mask}")).unwrap_err();
     assert!(
         message.contains("32.png has 32 rows, not the VLP-16")
