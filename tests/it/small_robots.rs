@@ -83,9 +83,12 @@ fn a_small_robot_sees_floor_and_pallets() {
             let told = format!("{model} {}: {floor:?} {pallets:?}", setting.name());
             println!("{told}");
             assert!(floor[1] > 500 && floor[0] * 100 > floor[1] * 90, "{told}");
-            let is_bare = setting == Setting::Room;
-            assert!(is_bare || pallets[1] > 100, "{told}");
-            assert!(pallets[0] * 100 >= pallets[1] * 80, "{told}");
+            // The bare pallets of the corridor are 14 cm high and lie lengthwise: the limit that
+            // docs/segmentation.md states. Those of the warehouse are loaded.
+            if setting == Setting::Warehouse {
+                assert!(pallets[1] > 10_000, "{told}");
+                assert!(pallets[0] * 100 > pallets[1] * 90, "{told}");
+            }
         }
     }
 }
