@@ -1,17 +1,15 @@
 //! The end of `sweepd record --from`, and of `sweepd view`, which asks for settings.
 
-use std::io::{self, BufRead, BufReader, Read, Write};
+use std::io;
 use std::os::unix::fs::MetadataExt;
-use std::os::unix::net;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use tokio::net::UnixStream;
+use tokio::runtime;
 use tokio::time::timeout;
 
-use super::protocol::{
-    Connection, MAX_LEN, Reply, Request, SegmentSettings, SettingsRequest, VERSION,
-};
+use super::protocol::{Connection, Reply, Request, SegmentSettings, SettingsRequest, VERSION};
 use sweepd_client::host::{own_uid, user_name};
 
 /// A daemon that sends nothing for longer does not answer.
@@ -68,22 +66,33 @@ pub enum RemoteRecordError {
     },
 }
 
-/// What the daemon that listens at `socket` segments a sensor with. Waits for a second at most.
+/// What the daemon that listens at `socket` segments a sensor with. Waits for a second at most; for a
+/// thread that runs no tasks.
 ///
 /// # Errors
-/// What the system says; `InvalidData` where the daemon does not say it.
+/// What the system says; `PermissionDenied` where the daemon is of another user, `InvalidData` where
+/// it does not say it.
 pub fn segment_settings(socket: &Path, sensor: &str) -> io::Result<SegmentSettings> {
-    let mut stream = net::UnixStream::connect(socket)?;
-    stream.set_read_timeout(Some(Duration::from_secs(1)))?;
+    let runtime = runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()?;
+    runtime
+        .block_on(async { timeout(Duration::from_secs(1), ask_settings(socket, sensor)).await })?
+}
+
+async fn ask_settings(socket: &Path, sensor: &str) -> io::Result<SegmentSettings> {
+    let stream = UnixStream::connect(socket).await?;
+    if stream.peer_cred()?.uid() != own_uid() {
+        return Err(io::ErrorKind::PermissionDenied.into());
+    }
+    let mut connection = Connection::new(stream);
     let request = SettingsRequest {
         version: VERSION,
         settings_of: sensor.to_owned(),
     };
-    writeln!(stream, "{}", serde_json::to_string(&request)?)?;
-    let mut line = Vec::new();
-    let mut answer = BufReader::new(stream.take(MAX_LEN as u64));
-    answer.read_until(b'\n', &mut line)?;
-    match serde_json::from_slice(&line)? {
+    connection.send(&request).await?;
+    let line = connection.receive().await?;
+    match serde_json::from_slice(&line.unwrap_or_default())? {
         Reply::Settings(settings) => Ok(settings),
         _ => Err(io::ErrorKind::InvalidData.into()),
     }

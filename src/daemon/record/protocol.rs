@@ -22,7 +22,7 @@ use sweepd_core::segment::{self, SETTINGS, Setting};
 /// Increased whenever a message changes.
 pub const VERSION: u32 = 3;
 /// Longest message, bytes: the summary of 64 senders takes 10 KB, a path at most 4 KB.
-pub(super) const MAX_LEN: usize = 64 << 10;
+const MAX_LEN: usize = 64 << 10;
 
 /// What a client wants to be recorded.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
