@@ -141,9 +141,9 @@ impl FloorFinder {
     }
 
     /// The first half of [`FloorFinder::look`]: copies some returns of the sweep, if it is one to
-    /// look at. Returns whether it did; then call [`FloorFinder::fit`].
+    /// look at. Returns whether it did; then call [`FloorFinder::fit`]. Parts of a turn do not count.
     pub fn sample(&mut self, sweep: &SweepRef<'_>) -> bool {
-        if sweep.header.has(flags::STOPPED) {
+        if sweep.header.has(flags::STOPPED | flags::PARTIAL) {
             return false;
         }
         let is_due = self.sweeps < LOOKS as u64 || self.sweeps.is_multiple_of(EVERY);
