@@ -59,6 +59,14 @@ impl Config {
         Self::parse(path, &read_text(path)?)
     }
 
+    /// The same of a file that may be for another host: it may name a core that this one lacks.
+    ///
+    /// # Errors
+    /// Those of [`Config::read`].
+    pub fn read_for_any_host(path: &Path) -> Result<Self, ConfigError> {
+        Self::parse_for(path, &read_text(path)?, false)
+    }
+
     /// The configuration in a text; `path` is what errors call it, and what it names is relative to
     /// that one's folder.
     ///
@@ -66,8 +74,13 @@ impl Config {
     /// [`ConfigError::Invalid`]: the first slip in the syntax, or all keys, types and values that
     /// cannot be meant.
     pub fn parse(path: &Path, text: &str) -> Result<Self, ConfigError> {
+        Self::parse_for(path, text, true)
+    }
+
+    fn parse_for(path: &Path, text: &str, is_of_this_host: bool) -> Result<Self, ConfigError> {
         let folder = path.parent().unwrap_or(Path::new(""));
-        let config = file::read(text, folder).and_then(|(file, found)| check::check(file, found));
+        let config = file::read(text, folder)
+            .and_then(|(file, found)| check::check(file, found, is_of_this_host));
         config.map_err(|problems| Problems::new(path.display().to_string(), text, problems).into())
     }
 }

@@ -20,15 +20,22 @@ use super::{Config, DaemonConfig, HTTP, RecordConfig, SensorConfig};
 pub(super) struct Check<'a> {
     /// What relative paths are relative to.
     folder: &'a Path,
+    /// Whether it is for this host.
+    is_of_this_host: bool,
     problems: Vec<Problem>,
     /// What is accepted, and hardly meant.
     warnings: Vec<String>,
 }
 
 /// The configuration that is written in a file, or all that is wrong with it.
-pub(super) fn check(file: File<'_>, found: FileProblems<'_>) -> Result<Config, Vec<Problem>> {
+pub(super) fn check(
+    file: File<'_>,
+    found: FileProblems<'_>,
+    is_of_this_host: bool,
+) -> Result<Config, Vec<Problem>> {
     let mut check = Check {
         folder: found.folder,
+        is_of_this_host,
         problems: Vec::new(),
         warnings: found.warnings,
     };

@@ -28,6 +28,7 @@ impl Check<'_> {
     fn cpu(&mut self, sensor: &Sensor<'_>) {
         let online = std::fs::read_to_string("/sys/devices/system/cpu/online").unwrap_or_default();
         if let Some(cpu) = sensor.config.port.cpu
+            && self.is_of_this_host
             && !online.is_empty()
             && !lists(&online, cpu)
         {
