@@ -7,15 +7,15 @@ use sweepd_core::segment::settings::{SETTINGS, Table};
 use sweepd_core::segment::{Config, Mount};
 
 /// Where no floor is seen, and what to do about it.
-pub const NOT_SEEN: &str = "no floor is seen within 45 degrees of the vertical of the mount that is set; of a sensor head down, \
-     set the roll to 180 degrees";
+pub const NOT_SEEN: &str = "no floor is seen within 45 degrees of the mount that is set; if the sensor hangs head down, set \
+     roll_deg = 180";
 
 /// What the lines of a mount are.
 pub const MOUNTED: &str = "by the floor, it is mounted like this";
 
 /// What to do where the mount that is set is another one.
 pub const CURE: &str =
-    "set it as the floor says, unless the robot stands on a slope, or the mount has come loose";
+    "set the mount by the floor, unless the robot stands on a slope or the sensor has come loose";
 
 /// The lines of the daemon's configuration that give this mount, and the spread as a comment.
 pub fn lines(floor: &Floor) -> String {
