@@ -78,6 +78,19 @@ fn check(file: &Path) -> Result<(), CliError> {
     for warning in &config.warnings {
         complain("warning", warning);
     }
+    for sensor in &config.sensors {
+        if sensor.pipeline.segment.mount.height_m.is_some() && sensor.pipeline.position_m[2] == 0.0
+        {
+            complain(
+                "warning",
+                format_args!(
+                    "{}: `height_m` is set and `z_m` is not: the robot's origin is as high as the sensor; if it is on the floor, set \
+                     `z_m` to the same height",
+                    sensor.name
+                ),
+            );
+        }
+    }
     for missing in config.missing_on_this_host() {
         complain("warning", missing);
     }
