@@ -2,15 +2,16 @@
 
 mod obstacle;
 
+use std::fmt::Display;
 use std::io::{self, Write};
-use std::net::{Ipv4Addr, SocketAddr};
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use serde::Serialize;
 use serde_json::Value;
 
-use super::options::{Listening, within};
+use super::options::{ConfigOptions, Listening, SensorChoice, within};
 use super::{CliError, complain};
 use crate::beams;
 use crate::daemon::config::Config;
@@ -22,6 +23,10 @@ use crate::publish::pool_sweeps;
 
 /// Options of `sweepd doctor`.
 #[derive(Clone, Debug, clap::Args)]
+#[command(
+    mut_arg("config", config_argument),
+    mut_arg("sensors", sensor_argument)
+)]
 #[command(after_help = "\
 Nothing is changed: ports are listened on, and sensors are asked for their settings. The exit status is 1 when something is wrong.
 
@@ -45,18 +50,13 @@ pub struct Args {
         allow_negative_numbers = true
     )]
     obstacle: Option<Obstacle>,
-    /// Listen on the ports of this daemon configuration, and compare what comes with its sensors
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["ports", "bind", "multicast", "interface", "health"])]
-    config: Option<PathBuf>,
+    #[command(flatten)]
+    config: ConfigOptions,
     /// How long to listen, seconds; with --obstacle, how long to wait for a sweep
     #[arg(long, value_name = "S", default_value = "5", value_parser = within(0.1..=3600.0, "seconds"))]
     seconds: f64,
     #[command(flatten)]
     listening: Listening,
-    /// Ask the web page of this sensor even if nothing comes from it; may be given several times.
-    /// With --obstacle, the sensor to try, by its address or its name
-    #[arg(long = "sensor", value_name = "IP|NAME")]
-    sensors: Vec<String>,
     /// Ask no sensor for its settings
     #[arg(long)]
     no_web: bool,
@@ -71,16 +71,21 @@ pub struct Args {
     web_port: u16,
 }
 
-impl Args {
-    /// The configuration, if one is named.
-    fn read_config(&self) -> Result<Option<Config>, CliError> {
-        let config = self.config.as_deref().map(Config::read).transpose()?;
-        for warning in config.iter().flat_map(|config| &config.warnings) {
-            complain("warning", warning);
-        }
-        Ok(config)
-    }
+fn config_argument(argument: clap::Arg) -> clap::Arg {
+    let help =
+        "Listen on the ports of this daemon configuration, and compare what comes with its sensors";
+    let others = ["ports", "bind", "multicast", "interface", "health"];
+    argument.help(help).conflicts_with_all(others)
+}
 
+fn sensor_argument(argument: clap::Arg) -> clap::Arg {
+    argument.help(
+        "Ask the web page of the sensor at this address even if nothing comes from it; may be given several times. With \
+         --obstacle, the sensor to try, by its address or its name",
+    )
+}
+
+impl Args {
     fn plan(&self, config: Option<&Config>) -> Plan {
         match config {
             Some(config) => Plan::of(config),
@@ -129,14 +134,24 @@ struct SensorReport {
 /// # Errors
 /// [`CliError`]; [`CliError::Reported`] if there are faults, after they were printed.
 pub fn run(args: &Args) -> Result<(), CliError> {
-    let config = args.read_config()?;
+    let config = match (&args.config.config, &args.capture) {
+        (Some(file), None) => Some(Config::read(file)?),
+        (Some(file), Some(_)) => Some(Config::read_for_any_host(file)?),
+        (None, _) => None,
+    };
     let mut plan = args.plan(config.as_ref());
     if let Some(obstacle) = args.obstacle {
-        return obstacle::run(args, obstacle, config.as_ref(), &plan);
+        return obstacle::run(args, obstacle, &plan);
     }
-    for address in &args.sensors {
-        let address = address.parse::<Ipv4Addr>();
-        plan.ask.push(address.map_err(|_| {
+    for warning in config.iter().flat_map(|config| &config.warnings) {
+        complain("warning", warning);
+    }
+    for sensor in &args.config.sensors {
+        let address = match sensor {
+            SensorChoice::Sender(filter) => filter.to_string().parse().ok(),
+            SensorChoice::Name(_) => None,
+        };
+        plan.ask.push(address.ok_or_else(|| {
             CliError::Usage(
                 "--sensor: expected an IPv4 address; a name needs --obstacle".to_owned(),
             )
@@ -147,7 +162,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         plan,
         Duration::from_secs_f64(args.seconds),
         web_port,
-        |ports| announce(ports, args),
+        |ports| print_ports(ports, format_args!("{} s", args.seconds)),
     );
     let seen = seen.map_err(|error| match error {
         ExamineError::Udp(error) => CliError::Udp(error),
@@ -171,16 +186,13 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     }
 }
 
-fn announce(ports: &[u16], args: &Args) {
-    let ports: Vec<String> = ports.iter().map(u16::to_string).collect();
+/// Says where and for how long it listens.
+fn print_ports(ports: &[u16], how_long: impl Display) {
+    let numbers: Vec<String> = ports.iter().map(u16::to_string).collect();
     // If no port can be opened, there is no wait, and the findings say why.
     if !ports.is_empty() {
-        let _ = writeln!(
-            io::stderr(),
-            "listening on port {} for {} s",
-            ports.join(", "),
-            args.seconds
-        );
+        let numbers = numbers.join(", ");
+        let _ = writeln!(io::stderr(), "listening on port {numbers} for {how_long}");
     }
 }
 

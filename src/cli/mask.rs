@@ -72,7 +72,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     output::check(&args.out, existing)?;
     let refused = |why: String| CliError::Usage(format!("{}: {why}", args.capture.display()));
     let views = read(args)?;
-    let views = only_one(&views).map_err(refused)?;
+    views.check().map_err(refused)?;
     let body = views.body(args.within as f32);
     if !body.contains(&true) {
         return Err(refused(format!(
@@ -92,8 +92,8 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     writeln!(io::stdout(), "{out}: {}", describe(&body)).map_err(CliError::Stdout)
 }
 
-/// What each sensor of the capture saw.
-fn read(args: &Args) -> Result<Vec<Views>, CliError> {
+/// What the sensor saw.
+fn read(args: &Args) -> Result<Views, CliError> {
     let mut capture = Capture::open(&args.capture)?;
     let sections = Sections::read(&args.sensor, &SegmentOptions::default())?;
     let mut streams = Streams::new(sections.filters());
@@ -105,40 +105,19 @@ fn read(args: &Args) -> Result<Vec<Views>, CliError> {
                 removal: Removal::default(),
                 ..section.sensor.pipeline.clone()
             };
-            Views::new(sections.name_of(sender), config)
+            Views::new(config)
         })?;
     }
     streams.end();
     if let Some(truncation) = capture.truncation() {
         complain("warning", truncation);
     }
-    Ok(streams.all)
-}
-
-fn only_one(views: &[Views]) -> Result<&Views, String> {
-    let [views] = views else {
-        let names: Vec<&str> = views.iter().map(|views| &views.name[..]).collect();
-        return Err(match names.len() {
-            0 => "no sensor sends data packets".to_owned(),
-            _ => format!(
-                "several sensors: choose one with --sensor: {}",
-                names.join(", ")
-            ),
-        });
-    };
-    match &views.fault {
-        Some(fault) => Err(fault.clone()),
-        None if views.sweeps.len() < LEAST_SWEEPS => Err(format!(
-            "{}: a mask needs {LEAST_SWEEPS} or more: give a longer capture",
-            count_of(views.sweeps.len() as u64, "whole turn")
-        )),
-        None => Ok(views),
-    }
+    let views = sections.only_one(streams);
+    views.map_err(|why| CliError::Usage(format!("{}: {why}", capture.name())))
 }
 
 /// The nearest returns of a sensor, sweep by sweep.
 struct Views {
-    name: String,
     pipeline: Pipeline,
     memory: Memory<HeapBuffers>,
     fault: Option<String>,
@@ -168,7 +147,7 @@ impl Stream for Views {
 }
 
 impl Views {
-    fn new(name: &str, config: Config) -> Result<Self, CliError> {
+    fn new(config: Config) -> Result<Self, CliError> {
         let options = Options {
             // None are needed.
             labels: Labels::Elsewhere,
@@ -177,7 +156,6 @@ impl Views {
         let pipeline = Pipeline::with_options("", config, options)
             .map_err(|error| CliError::Usage(error.to_string()))?;
         Ok(Self {
-            name: name.to_owned(),
             pipeline,
             memory: Memory::default(),
             fault: None,
@@ -185,6 +163,18 @@ impl Views {
             turns: 0,
             every: 1,
         })
+    }
+
+    /// Whether they are enough for a mask; if not, why.
+    fn check(&self) -> Result<(), String> {
+        match &self.fault {
+            Some(fault) => Err(fault.clone()),
+            None if self.sweeps.len() < LEAST_SWEEPS => Err(format!(
+                "{}: a mask needs {LEAST_SWEEPS} or more: give a longer capture",
+                count_of(self.sweeps.len() as u64, "whole turn")
+            )),
+            None => Ok(()),
+        }
     }
 
     fn poll(&mut self) {

@@ -7,6 +7,7 @@ use super::options::{ConfigOptions, SegmentOptions, SensorChoice, SensorOptions}
 use super::{CliError, complain};
 use crate::admission::{Sender, SensorFilter, SensorFilterError};
 use crate::daemon::config::{Config, SensorConfig};
+use crate::streams::{Stream, Streams};
 use sweepd_core::segment;
 
 /// The sensors that are wanted.
@@ -44,16 +45,26 @@ impl Sections {
     /// # Errors
     /// [`CliError`]: a file that cannot be read, an invalid value, a sensor that is not there.
     pub fn read(sensor: &SensorOptions, segment: &SegmentOptions) -> Result<Self, CliError> {
-        let chosen = sensor.config.choose()?;
+        let mut sections = Self::configured(&sensor.config)?;
         segment.warn();
+        for section in &mut sections.list {
+            sensor.apply(&mut section.sensor.pipeline)?;
+            segment.apply(&mut section.sensor.pipeline)?;
+        }
+        Ok(sections)
+    }
+
+    /// The same without other options.
+    ///
+    /// # Errors
+    /// [`CliError`]: a file that cannot be read, a sensor that is not there.
+    pub fn configured(options: &ConfigOptions) -> Result<Self, CliError> {
+        let chosen = options.choose()?;
         let mut list = Vec::new();
-        for (mut config, filter) in chosen.sections {
-            let configured = config.pipeline.segment.clone();
-            sensor.apply(&mut config.pipeline)?;
-            segment.apply(&mut config.pipeline)?;
+        for (sensor, filter) in chosen.sections {
             list.push(Section {
-                sensor: config,
-                configured,
+                configured: sensor.pipeline.segment.clone(),
+                sensor,
                 filter,
             });
         }
@@ -64,16 +75,48 @@ impl Sections {
         })
     }
 
+    /// The only section.
+    ///
+    /// # Errors
+    /// [`CliError`]: these are several.
+    pub fn only(&self, options: &ConfigOptions) -> Result<&Section, CliError> {
+        match &self.list[..] {
+            [only] => Ok(only),
+            list => {
+                let sensors: Vec<SensorConfig> =
+                    list.iter().map(|one| one.sensor.clone()).collect();
+                Err(several(options, &sensors))
+            }
+        }
+    }
+
+    /// The only stream of those of a capture.
+    ///
+    /// # Errors
+    /// In words: there are none, or several.
+    pub fn only_one<S: Stream>(&self, mut streams: Streams<S>) -> Result<S, String> {
+        let senders = streams.sensors.senders();
+        if streams.all.len() > 1 {
+            let names: Vec<&str> = senders.iter().map(|sender| self.name_of(sender)).collect();
+            return Err(format!(
+                "several sensors: choose one with --sensor: {}",
+                names.join(", ")
+            ));
+        }
+        streams.all.pop().ok_or_else(|| {
+            let missing = self.missing(streams.sensors.senders());
+            let missing = missing.into_iter().next();
+            missing.unwrap_or_else(|| "no sensor sends data packets".to_owned())
+        })
+    }
+
     /// The same for a single sensor, wherever its packets come from.
     ///
     /// # Errors
     /// [`CliError`]: these are several.
     pub fn for_any_sender(mut self, options: &ConfigOptions) -> Result<Self, CliError> {
-        let [section] = &mut self.list[..] else {
-            let sensors: Vec<SensorConfig> = self.list.into_iter().map(|one| one.sensor).collect();
-            return Err(several(options, &sensors));
-        };
-        section.filter = None;
+        self.only(options)?;
+        self.list[0].filter = None;
         self.filters.clear();
         self.is_any_enough = false;
         Ok(self)
@@ -184,7 +227,7 @@ impl ConfigOptions {
                 is_any_enough: false,
             });
         };
-        let config = Config::read(file)?;
+        let config = Config::read_for_any_host(file)?;
         for warning in &config.warnings {
             complain("warning", warning);
         }

@@ -1,29 +1,29 @@
 //! Whether a sensor on its robot sees a box of known size and place as an object of its own: pure.
 //!
 //! ```text
-//! place      sweep -> returns in the box's place, over the floor that is seen around it
+//! place      sweep, floor -> returns and beams in the box's place
 //! Trial      sweeps, objects -> what becomes of the box, sweep by sweep
 //! findings   Trial -> what to change
-//! sources    a capture, ports or a running daemon -> Trial
 //! ```
 
 mod findings;
 mod place;
-pub mod sources;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::str::FromStr;
 
 use serde::Serialize;
 
-use place::{Beams, Floor, Placed, front_m, quantile};
-use sweepd_core::segment;
+use place::{Beams, front_m, median, quantile};
+use sweepd_core::floor::FloorFinder;
+use sweepd_core::pipeline::Config;
+use sweepd_core::segment::Mount;
 use sweepd_core::sweep::layout::{
     LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, TimeSource, flags,
 };
 use sweepd_core::sweep::objects::NewObjects;
-use sweepd_core::sweep::{Header, Pose, SweepRef};
+use sweepd_core::sweep::{Header, Pose, Return, SweepRef};
 
 /// Sweeps that are judged at most.
 pub const SWEEPS: u32 = 100;
@@ -101,15 +101,7 @@ pub enum Seen {
     Ground,
     /// Its returns are in several objects, or partly ground.
     Pieces,
-    /// Fewer returns than a segment needs.
-    TooFew,
-    /// Most of its returns are nearer than `min_range_m`.
-    TooNear,
-    /// Most of its returns are farther than `max_range_m`.
-    TooFar,
-    /// The mask hides most of its returns.
-    Masked,
-    /// Most of its returns have no label, for a reason that is not known here.
+    /// Most of its returns have no label.
     Unlabelled,
     /// No return is where it should be.
     Nothing,
@@ -123,10 +115,6 @@ impl Seen {
             Self::Joined => "joined with something else",
             Self::Ground => "ground",
             Self::Pieces => "in pieces",
-            Self::TooFew => "too few returns",
-            Self::TooNear => "nearer than min_range_m",
-            Self::TooFar => "farther than max_range_m",
-            Self::Masked => "hidden by the mask",
             Self::Unlabelled => "without a label",
             Self::Nothing => "no return there",
         }
@@ -145,19 +133,18 @@ pub struct Extent {
 }
 
 impl Extent {
-    fn of(returns: &[&Placed], floor: &Floor) -> Self {
-        let ends = |of: fn(&Placed) -> f64| {
-            let values = returns.iter().map(|one| of(one));
-            [
-                values.clone().fold(f64::INFINITY, f64::min),
-                values.fold(f64::NEG_INFINITY, f64::max),
-            ]
-        };
-        let tops_m = returns.iter().map(|one| one.up_m - floor.at(one.ahead_m));
+    fn of(returns: &[&Return]) -> Self {
+        let [mut least, mut most] = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
+        for one in returns {
+            for axis in 0..3 {
+                least[axis] = least[axis].min(one.point_m[axis]);
+                most[axis] = most[axis].max(one.point_m[axis]);
+            }
+        }
         Self {
-            ahead_m: ends(|one| one.ahead_m),
-            right_m: ends(|one| one.right_m),
-            top_m: tops_m.fold(f64::NEG_INFINITY, f64::max),
+            ahead_m: [least[1], most[1]],
+            right_m: [least[0], most[0]],
+            top_m: most[2],
         }
     }
 }
@@ -166,27 +153,29 @@ impl Extent {
 #[derive(Clone, Debug)]
 pub struct Trial {
     obstacle: Obstacle,
-    /// What the sweeps are segmented with, where it is known.
-    settings: Option<segment::Config>,
+    /// How sweeps are made, where that is known.
+    config: Option<Config>,
+    /// What the sweeps show of the floor.
+    floor: Option<FloorFinder>,
     /// Sweeps that were judged.
     sweeps: u32,
     /// Sweeps in which the height of the sensor was not known yet.
     without_height: u32,
     seen: BTreeMap<Seen, u32>,
-    /// Of each sweep with returns on the box: how many, their rows, the front, and its middle to
-    /// the right.
+    /// Of each sweep with returns on the box: how many, their rows, the front, its middle to the
+    /// right, and its range from the sensor.
     returns: Vec<f64>,
     rows: Vec<f64>,
     fronts_m: Vec<f64>,
     rights_m: Vec<f64>,
-    /// The floor of each sweep that shows it.
-    floors_up_m: Vec<f64>,
-    floors_rise: Vec<f64>,
+    ranges_m: Vec<f64>,
     beams: Option<Beams>,
     joined: Option<Extent>,
-    nearest: Option<Placed>,
-    /// Of the newest sweep that was judged.
-    newest: Option<Newest>,
+    nearest: Option<Return>,
+    /// Of the newest sweep that was judged: the way to the frame of the box, and where the sensor
+    /// is from the robot's origin, metres.
+    frame: Option<Pose>,
+    position_m: [f32; 3],
     /// From the last shot on the box until it is known: as an object, and with its sweep.
     told_ns: Vec<f64>,
     with_sweep_ns: Vec<f64>,
@@ -194,19 +183,13 @@ pub struct Trial {
     gps_behind_ns: Option<i64>,
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Newest {
-    header: Header,
-    frame: Pose,
-    floor: Floor,
-}
-
 impl Trial {
-    /// Nothing is seen yet. `settings` are those of the segmenter, where they are known.
-    pub fn new(obstacle: Obstacle, settings: Option<segment::Config>) -> Self {
+    /// Nothing is seen yet. `config` is what makes the sweeps, where it is known.
+    pub fn new(obstacle: Obstacle, config: Option<Config>) -> Self {
         Self {
             obstacle,
-            settings,
+            config,
+            floor: None,
             sweeps: 0,
             without_height: 0,
             seen: BTreeMap::new(),
@@ -214,12 +197,12 @@ impl Trial {
             rows: Vec::new(),
             fronts_m: Vec::new(),
             rights_m: Vec::new(),
-            floors_up_m: Vec::new(),
-            floors_rise: Vec::new(),
+            ranges_m: Vec::new(),
             beams: None,
             joined: None,
             nearest: None,
-            newest: None,
+            frame: None,
+            position_m: [0.0; 3],
             told_ns: Vec::new(),
             with_sweep_ns: Vec::new(),
             gps_behind_ns: None,
@@ -243,115 +226,98 @@ impl Trial {
         if header.has(flags::PARTIAL) || self.is_over() {
             return;
         }
-        let Some(frame) = place::frame(header, &self.obstacle) else {
+        if header.height_m <= 0.0 {
             self.without_height += 1;
             return;
-        };
+        }
         self.sweeps += 1;
         if header.time_source() == TimeSource::Gps {
             let end_ns = header.time_ns.saturating_add_unsigned(header.duration_ns);
             let behind_ns = header.arrival_ns.saturating_sub(end_ns);
             self.gps_behind_ns = Some(self.gps_behind_ns.map_or(behind_ns, |ns| ns.min(behind_ns)));
         }
-        let returns = place::placed(sweep, &frame);
-        let seen_floor = self.obstacle.floor(&returns);
-        if let Some(floor) = seen_floor {
-            self.floors_up_m.push(floor.up_m);
-            self.floors_rise.push(floor.rise);
-        }
-        let floor = seen_floor.unwrap_or_default();
+        let mount = self.mount_of(header);
+        let floor = self.floor.get_or_insert_with(|| FloorFinder::new(mount));
+        floor.look(sweep);
+        let frame = place::frame(header, floor.sight(), &self.obstacle);
+        self.frame = Some(frame);
+        self.position_m = header.position_m;
         if self.beams.is_none() {
-            self.beams = Some(Beams::of(sweep, &frame, &self.obstacle, &floor));
+            self.beams = Some(Beams::of(sweep, &frame, &self.obstacle));
         }
-        self.newest = Some(Newest {
-            header: *header,
-            frame,
-            floor,
-        });
-        let strikes = self.obstacle.strikes(&returns, &floor);
-        if let Some(last_ns) = strikes.iter().map(|one| one.of.time_ns).max() {
-            let delay_ns = known_ns.saturating_sub(last_ns);
-            self.with_sweep_ns.push(delay_ns as f64);
+        let mut returns: Vec<Return> = sweep.returns().collect();
+        for one in &mut returns {
+            one.point_m = frame.apply(one.point_m);
         }
-        let seen = self.judge(&returns, &strikes, &floor);
+        let strikes = self.obstacle.strikes(&returns);
+        if let Some(last_ns) = strikes.iter().map(|one| one.time_ns).max() {
+            self.with_sweep_ns
+                .push(known_ns.saturating_sub(last_ns) as f64);
+        }
+        let seen = self.judge(&returns, &strikes);
         *self.seen.entry(seen).or_default() += 1;
     }
 
+    /// The mount that is set. A header has the height also where it is estimated.
+    fn mount_of(&self, header: &Header) -> Mount {
+        match &self.config {
+            Some(config) => config.segment.mount,
+            None => Mount {
+                height_m: None,
+                pitch_rad: header.pitch_rad,
+                roll_rad: header.roll_rad,
+            },
+        }
+    }
+
     /// What becomes of the box in a sweep, of whose returns these strike it.
-    fn judge(&mut self, returns: &[Placed], strikes: &[Placed], floor: &Floor) -> Seen {
+    fn judge(&mut self, returns: &[Return], strikes: &[Return]) -> Seen {
         let Some(front_m) = front_m(strikes) else {
-            self.nearest = self.obstacle.nearest(returns, floor).or(self.nearest);
+            self.nearest = self.obstacle.nearest(returns).or(self.nearest);
             return Seen::Nothing;
         };
-        let mut rows: Vec<usize> = strikes.iter().map(|one| one.of.row).collect();
-        rows.sort_unstable();
-        rows.dedup();
+        let rows: BTreeSet<usize> = strikes.iter().map(|one| one.row).collect();
+        let rights_m: Vec<f64> = strikes.iter().map(|one| one.point_m[0]).collect();
+        let ranges_m: Vec<f64> = strikes.iter().map(|one| one.range_m.into()).collect();
         self.returns.push(strikes.len() as f64);
         self.rows.push(rows.len() as f64);
         self.fronts_m.push(front_m);
-        let mut rights_m: Vec<f64> = strikes.iter().map(|one| one.right_m).collect();
-        self.rights_m.extend(quantile(&mut rights_m, 0.5));
+        self.rights_m.extend(median(&rights_m));
+        self.ranges_m.extend(median(&ranges_m));
         let mut labels = BTreeMap::<u32, usize>::new();
         for one in strikes {
-            *labels.entry(one.of.label).or_default() += 1;
+            *labels.entry(one.label).or_default() += 1;
         }
         let half = strikes.len().div_ceil(2);
         let objects = labels.range(LABEL_FIRST_SEGMENT..);
         if let Some((&label, &own)) = objects.max_by_key(|(_, count)| **count)
             && own >= half
         {
-            let is_else = |one: &&Placed| {
-                one.of.label == label && !self.obstacle.is_beside(one, front_m, floor)
-            };
-            let others: Vec<&Placed> = returns.iter().filter(is_else).collect();
+            let is_else =
+                |one: &&Return| one.label == label && !self.obstacle.is_beside(one, front_m);
+            let others: Vec<&Return> = returns.iter().filter(is_else).collect();
             if others.len() <= own / 4 {
                 return Seen::Own;
             }
-            self.joined = Some(Extent::of(&others, floor));
+            self.joined = Some(Extent::of(&others));
             return Seen::Joined;
         }
         let count = |label| labels.get(&label).copied().unwrap_or(0);
         if count(LABEL_GROUND) >= half {
             Seen::Ground
         } else if count(LABEL_NONE) >= half {
-            self.why_unlabelled(strikes)
+            Seen::Unlabelled
         } else {
             Seen::Pieces
-        }
-    }
-
-    /// Why the returns on the box have no label.
-    fn why_unlabelled(&self, strikes: &[Placed]) -> Seen {
-        let usual = segment::Config::default();
-        let settings = self.settings.as_ref().unwrap_or(&usual);
-        let is_most = |is_so: &dyn Fn(&Placed) -> bool| {
-            2 * strikes.iter().filter(|one| is_so(one)).count() >= strikes.len()
-        };
-        if is_most(&|one| one.of.range_m < settings.min_range_m) {
-            Seen::TooNear
-        } else if is_most(&|one| one.of.range_m > settings.max_range_m) {
-            Seen::TooFar
-        } else if let Some(mask) = &settings.mask
-            && is_most(&|one| mask.hides(one.of.row, one.of.azimuth_rad))
-        {
-            Seen::Masked
-        } else if strikes.len() < settings.min_points as usize {
-            Seen::TooFew
-        } else {
-            Seen::Unlabelled
         }
     }
 
     /// Notes when the box is told among the objects that are known since this time, nanoseconds
     /// since 1970.
     pub fn told(&mut self, new: &NewObjects<'_>, known_ns: i64) {
-        let Some(Newest { frame, floor, .. }) = self.newest else {
-            return;
-        };
         for object in new.objects {
-            let middle = frame.apply(object.segment.centroid_m.map(f64::from));
-            let up_m = middle[2] - floor.at(middle[1]);
-            if self.obstacle.holds(middle[0], middle[1], up_m) {
+            let middle_m = object.segment.centroid_in(self.frame.as_ref());
+            if self.frame.is_some() && self.obstacle.holds(middle_m) {
                 let last_ns = new.time_ns.saturating_add(object.last_ns.into());
                 self.told_ns.push(known_ns.saturating_sub(last_ns) as f64);
             }
@@ -360,10 +326,8 @@ impl Trial {
 
     /// What came of it.
     pub fn report(&self) -> Report {
-        let median = |of: &[f64]| quantile(&mut of.to_vec(), 0.5);
         let behind_ns = self.gps_behind_ns.unwrap_or(0) as f64;
         let ms = |ns: f64| (ns - behind_ns) / 1e6;
-        let floor = median(&self.floors_up_m).zip(median(&self.floors_rise));
         Report {
             obstacle: self.obstacle,
             sweeps: self.sweeps,
@@ -373,12 +337,10 @@ impl Trial {
             rows: median(&self.rows),
             front_m: median(&self.fronts_m),
             right_m: median(&self.rights_m),
-            floor_m: floor.map(|(up_m, rise)| up_m + rise * self.obstacle.distance_m),
-            floor_rise_deg: floor.map(|(_, rise)| rise.atan().to_degrees()),
             joined: self.joined,
             told: self.told_ns.len(),
             told_ms: median(&self.told_ns).map(ms),
-            told_most_ms: quantile(&mut self.told_ns.clone(), 1.0).map(ms),
+            told_most_ms: quantile(&self.told_ns, 1.0).map(ms),
             with_sweep_ms: median(&self.with_sweep_ns).map(ms),
         }
     }
@@ -404,10 +366,6 @@ pub struct Report {
     pub front_m: Option<f64>,
     /// Its middle to the right of where it should be, metres.
     pub right_m: Option<f64>,
-    /// How high the floor lies there by the mount, metres: 0 if the mount is right.
-    pub floor_m: Option<f64>,
-    /// How much the floor rises towards it by the mount, degrees: 0 if the mount is right.
-    pub floor_rise_deg: Option<f64>,
     /// What else is in its object, in the newest sweep where something is.
     pub joined: Option<Extent>,
     /// How often it was told as an object: twice a turn where it stands across the cut.

@@ -1,18 +1,34 @@
 //! `sweepd doctor --obstacle`: whether a box is seen, and what to change if it is not.
 
+use std::convert::Infallible;
 use std::io::{self, Write};
-use std::time::Duration;
+use std::path::Path;
+use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
-use super::{Args, print_findings, write_json};
+use super::{Args, print_findings, print_ports, write_json};
+use crate::admission::Sender;
+use crate::cli::options::SensorChoice;
+use crate::cli::sections::Sections;
 use crate::cli::{CliError, complain};
-use crate::daemon::config::{Config, SensorConfig};
-use crate::doctor::obstacle::sources::{Setup, TryError, from_capture, from_daemon, from_ports};
+use crate::cure::{Dialect, explain};
 use crate::doctor::obstacle::{ENOUGH_PERCENT, Obstacle, Report, SWEEPS, Seen, Trial};
 use crate::doctor::{Finding, Plan};
+use crate::input::{Capture, Placed, UdpSource};
+use crate::streams::{SteadyTime, Stream, Streams};
 use crate::text::row;
-use sweepd_client::client::{Client, Domain};
+use sweepd_client::client::{Client, Domain, LayoutError};
+use sweepd_client::host::realtime_ns;
+use sweepd_core::buffers::{HeapBuffers, Memory};
+use sweepd_core::pipeline::{Arrival, Event, Pipeline};
+use sweepd_core::sweep::SweepRef;
+use sweepd_core::wire::Packet;
+
+/// Longest wait for a daemon of which shared memory is left.
+const DAEMON: Duration = Duration::from_secs(2);
+/// Longest wait on one port, and for a sweep while objects may come.
+const TURN: Duration = Duration::from_millis(10);
 
 /// What `--json` prints.
 #[derive(Serialize)]
@@ -28,35 +44,8 @@ struct JsonReport<'a> {
 ///
 /// # Errors
 /// [`CliError`]; [`CliError::Reported`] if the box is no object of its own, after that was printed.
-pub(super) fn run(
-    args: &Args,
-    obstacle: Obstacle,
-    config: Option<&Config>,
-    plan: &Plan,
-) -> Result<(), CliError> {
-    let name = match &args.sensors[..] {
-        [] => None,
-        [name] => Some(&name[..]),
-        _ => return Err(usage("--obstacle is for one sensor: give one --sensor")),
-    };
-    let sensor = match config {
-        Some(config) => Some(configured(config, name)?),
-        None => None,
-    };
-    let setup = setup(obstacle, sensor, name);
-    let shared = match args.capture {
-        Some(_) => None,
-        None => shared(args, &setup, sensor, name, plan)?,
-    };
-    let (sensor, trial) = match (shared, name) {
-        (Some(shared), _) => shared,
-        (None, Some(name)) if sensor.is_none() && setup.only.is_empty() => {
-            return Err(usage(format!(
-                "no running daemon shares `{name}`: give the sensor's address, or --config FILE"
-            )));
-        }
-        _ => from_packets(args, &setup, plan)?,
-    };
+pub(super) fn run(args: &Args, obstacle: Obstacle, plan: &Plan) -> Result<(), CliError> {
+    let (sensor, trial) = try_out(args, obstacle, plan)?;
     let (report, findings) = (trial.report(), trial.findings());
     let printed = match args.json {
         true => write_json(&JsonReport {
@@ -74,69 +63,122 @@ pub(super) fn run(
     }
 }
 
-/// What packets show of the box, of a capture or as they come, with the name of their sensor.
-fn from_packets(args: &Args, setup: &Setup, plan: &Plan) -> Result<(String, Trial), CliError> {
-    let tried = match &args.capture {
-        Some(capture) => from_capture(capture, setup),
-        None => {
-            let patience = Duration::from_secs_f64(args.seconds);
-            from_ports(&plan.ports, setup, patience, announce)
+/// What is seen of the box, and by which sensor.
+fn try_out(args: &Args, obstacle: Obstacle, plan: &Plan) -> Result<(String, Trial), CliError> {
+    let config = &args.config;
+    // A running daemon knows its sensors by name without a file.
+    if let (None, None, [SensorChoice::Name(name)]) =
+        (&args.capture, &config.config, &config.sensors[..])
+    {
+        let trial = Trial::new(obstacle, None);
+        let shared = from_daemon(args, Some(name), trial, plan)?;
+        return shared.ok_or_else(|| {
+            CliError::Usage(format!(
+                "no running daemon shares `{name}`: give the sensor's address, or --config FILE"
+            ))
+        });
+    }
+    let sections = Sections::configured(config)?;
+    if args.capture.is_none() && (config.config.is_some() || config.sensors.is_empty()) {
+        let (mut name, mut pipeline) = (None, None);
+        if config.config.is_some() {
+            let sensor = &sections.only(config)?.sensor;
+            (name, pipeline) = (Some(&sensor.name[..]), Some(sensor.pipeline.clone()));
         }
-    };
-    let tried = tried.map_err(cli_error)?;
-    match tried.fault {
-        Some(fault) => Err(usage(format!("{}: {fault}", tried.sender.name))),
-        None => Ok((tried.sender.name, tried.trial)),
+        let trial = Trial::new(obstacle, pipeline);
+        if let Some(shared) = from_daemon(args, name, trial, plan)? {
+            return Ok(shared);
+        }
     }
+    from_packets(args, obstacle, &sections, plan)
 }
 
-fn announce(ports: &[u16]) {
-    let ports: Vec<String> = ports.iter().map(u16::to_string).collect();
-    let ports = ports.join(", ");
-    let _ = writeln!(
-        io::stderr(),
-        "listening on port {ports} for {SWEEPS} sweeps"
-    );
-}
-
-/// The sensor of a configuration: by its name or address, or the only one.
-fn configured<'a>(config: &'a Config, name: Option<&str>) -> Result<&'a SensorConfig, CliError> {
-    let is_meant = |one: &&SensorConfig| match name {
-        Some(name) => one.name == name || one.address.to_string() == name,
-        None => config.sensors.len() == 1,
-    };
-    config.sensors.iter().find(is_meant).ok_or_else(|| {
-        let names: Vec<&str> = config.sensors.iter().map(|one| &one.name[..]).collect();
-        usage(format!(
-            "name the sensor with --sensor; the configuration has {}",
-            names.join(", ")
-        ))
-    })
-}
-
-/// How the box is tried: with the sensor of a configuration, or that of an address.
-fn setup(obstacle: Obstacle, sensor: Option<&SensorConfig>, name: Option<&str>) -> Setup {
-    let mut setup = Setup::new(obstacle);
-    if let Some(sensor) = sensor {
-        let source = match sensor.source_port {
-            Some(port) => format!("{}:{port}", sensor.address),
-            None => sensor.address.to_string(),
-        };
-        setup.pipeline = sensor.pipeline.clone();
-        setup.max_width_rad = sensor.objects.max_width_rad;
-        setup.likely = source.parse().ok();
-    } else if let Some(filter) = name.and_then(|name| name.parse().ok()) {
-        setup.only.push(filter);
-    }
-    setup
-}
-
-/// What a running daemon shows of the box; `None` if none shares this sensor.
-fn shared(
+/// What packets show of the box, of a capture or as they come.
+fn from_packets(
     args: &Args,
-    setup: &Setup,
-    sensor: Option<&SensorConfig>,
+    obstacle: Obstacle,
+    sections: &Sections,
+    plan: &Plan,
+) -> Result<(String, Trial), CliError> {
+    let mut streams = Streams::new(sections.filters());
+    let is_live = args.capture.is_none();
+    let begin = |sender: &Sender| Tried::new(sender, sections, obstacle, is_live);
+    match &args.capture {
+        Some(path) => read(path, &mut streams, begin)?,
+        None => listen(args, plan, &mut streams, begin)?,
+    }
+    streams.end();
+    if is_live && streams.all.is_empty() {
+        return Err(CliError::Usage(
+            "no sensor sends data packets; `sweepd doctor` without --obstacle says why".to_owned(),
+        ));
+    }
+    let tried = sections.only_one(streams).map_err(CliError::Usage)?;
+    match tried.fault {
+        Some(fault) => Err(CliError::Usage(format!("{}: {fault}", tried.name))),
+        None => Ok((tried.name, tried.trial)),
+    }
+}
+
+/// Takes the packets of a capture, up to the sweeps that are enough or its end.
+fn read(
+    path: &Path,
+    streams: &mut Streams<Tried>,
+    begin: impl Fn(&Sender) -> Result<Tried, CliError>,
+) -> Result<(), CliError> {
+    let mut capture = Capture::open(path)?;
+    while let Some(placed) = capture.next_placed()?
+        && !is_over(streams)
+    {
+        let _ = streams.take(&placed, |_, sender| begin(sender))?;
+    }
+    if let Some(truncation) = capture.truncation() {
+        complain("warning", truncation);
+    }
+    Ok(())
+}
+
+/// Takes what comes to the ports, up to the sweeps that are enough, or until no sweep has come for
+/// so long as was said.
+fn listen(
+    args: &Args,
+    plan: &Plan,
+    streams: &mut Streams<Tried>,
+    begin: impl Fn(&Sender) -> Result<Tried, CliError>,
+) -> Result<(), CliError> {
+    let mut sources = Vec::new();
+    for port in &plan.ports {
+        sources.push(UdpSource::bind(&port.udp())?);
+    }
+    let ports: Vec<u16> = sources.iter().map(|one| one.local_addr().port()).collect();
+    print_ports(&ports, format_args!("{SWEEPS} sweeps"));
+    let (mut last, mut sweeps) = (Instant::now(), 0);
+    while last.elapsed().as_secs_f64() < args.seconds && !is_over(streams) {
+        for source in &mut sources {
+            for datagram in source.receive(TURN)? {
+                let placed = Placed::from(datagram);
+                let _ = streams.take(&placed, |_, sender| begin(sender))?;
+            }
+        }
+        let now: u32 = streams.all.iter().map(|one| one.trial.sweeps()).sum();
+        if now > sweeps {
+            (last, sweeps) = (Instant::now(), now);
+        }
+    }
+    Ok(())
+}
+
+/// Whether all sensors have enough sweeps.
+fn is_over(streams: &Streams<Tried>) -> bool {
+    !streams.all.is_empty() && streams.all.iter().all(|one| one.trial.is_over())
+}
+
+/// What a running daemon shows of the box, of the sensor with this name or the only one; `None` if
+/// none shares it.
+fn from_daemon(
+    args: &Args,
     name: Option<&str>,
+    mut trial: Trial,
     plan: &Plan,
 ) -> Result<Option<(String, Trial)>, CliError> {
     let domain = Domain::at_or_default(plan.root.as_deref());
@@ -147,39 +189,122 @@ fn shared(
             return Ok(None);
         }
     };
-    let meant = sensor.map(|sensor| &sensor.name[..]).or(name);
-    let name = match (meant, &names[..]) {
-        (_, []) => return Ok(None),
-        (Some(meant), names) if names.iter().any(|name| name == meant) => meant,
-        (Some(_), _) => return Ok(None),
+    let name = match (name, &names[..]) {
+        (Some(name), names) if names.iter().any(|one| one == name) => name,
+        (Some(_), _) | (None, []) => return Ok(None),
         (None, [name]) => name,
         (None, names) => {
             let names = names.join(", ");
-            return Err(usage(format!(
+            return Err(CliError::Usage(format!(
                 "there are several sensors, name one with --sensor: {names}"
             )));
         }
     };
     let mut client = Client::within(&domain, name)?;
-    // Without the file, it is not known what the daemon segments with.
-    let settings = sensor.map(|_| setup.pipeline.segment.clone());
-    let mut trial = Trial::new(setup.obstacle, settings);
-    let patience = Duration::from_secs_f64(args.seconds);
-    let is_there = from_daemon(&mut client, &mut trial, patience).map_err(cli_error)?;
-    Ok(is_there.then(|| (format!("{name}, by the running daemon"), trial)))
+    let mut objects = client.objects()?;
+    let begun = Instant::now();
+    let (mut last, mut is_there) = (begun, false);
+    while !trial.is_over() && last.elapsed().as_secs_f64() < args.seconds {
+        if let Some(sweep) = client.next(TURN)?.received() {
+            let view = sweep.view().map_err(unreadable)?;
+            trial.look(&view, view.header.completed_ns);
+            (last, is_there) = (Instant::now(), true);
+        }
+        while let Some(message) = objects.next(Duration::ZERO)?.received() {
+            let view = message.view().map_err(unreadable)?;
+            trial.told(&view.new_objects(), view.header.sent_ns);
+        }
+        if !is_there && begun.elapsed() > DAEMON && !client.is_published() {
+            return Ok(None);
+        }
+    }
+    Ok(Some((format!("{name}, by the running daemon"), trial)))
 }
 
-fn cli_error(error: TryError) -> CliError {
-    match error {
-        TryError::Capture(error) => CliError::Capture(error),
-        TryError::Udp(error) => CliError::Udp(error),
-        TryError::Client(error) => CliError::Client(error),
-        other => usage(other.to_string()),
+fn unreadable(error: LayoutError) -> CliError {
+    CliError::Usage(format!("the daemon sent what cannot be read: {error}"))
+}
+
+/// A sensor, and the box that it is tried with.
+struct Tried {
+    name: String,
+    trial: Trial,
+    /// Why its packets cannot be decoded.
+    fault: Option<String>,
+    pipeline: Pipeline,
+    memory: Memory<HeapBuffers>,
+    is_live: bool,
+    /// Arrival of the newest datagram.
+    newest_ns: i64,
+}
+
+impl Tried {
+    fn new(
+        sender: &Sender,
+        sections: &Sections,
+        obstacle: Obstacle,
+        is_live: bool,
+    ) -> Result<Self, CliError> {
+        let sensor = &sections.all()[sections.number_of(sender)].sensor;
+        let config = sensor.pipeline.clone();
+        let mut pipeline = Pipeline::new("", config.clone())
+            .map_err(|error| CliError::Usage(error.to_string()))?;
+        pipeline.find_objects(Some(sensor.objects.max_width_rad));
+        Ok(Self {
+            name: sections.name_of(sender).to_owned(),
+            trial: Trial::new(obstacle, Some(config)),
+            fault: None,
+            pipeline,
+            memory: Memory::default(),
+            is_live,
+            newest_ns: 0,
+        })
+    }
+
+    fn poll(&mut self) {
+        while let Some(event) = self.pipeline.poll(&mut self.memory) {
+            let known_ns = match self.is_live {
+                true => realtime_ns(),
+                false => self.newest_ns,
+            };
+            match event {
+                Event::Sweep(bytes) => {
+                    if let Ok(sweep) = SweepRef::open(bytes.as_ref()) {
+                        self.trial.look(&sweep, known_ns);
+                    }
+                }
+                Event::Objects(new) => self.trial.told(&new, known_ns),
+                Event::Fault(fault) => self.fault = Some(explain(&fault, Dialect::Configuration)),
+                Event::Notice(_) => {}
+            }
+        }
     }
 }
 
-fn usage(message: impl Into<String>) -> CliError {
-    CliError::Usage(message.into())
+impl Stream for Tried {
+    type Sweep = Infallible;
+
+    fn take(&mut self, packet: Option<&Packet<'_>>, _: &Placed<'_>) {
+        match packet {
+            Some(packet) => self.pipeline.push(packet),
+            None => self.pipeline.push(Arrival::Malformed),
+        }
+        // So that objects are known behind the packet that completes them.
+        self.pipeline.idle(None);
+        self.poll();
+    }
+
+    fn idle(&mut self, time: SteadyTime) -> bool {
+        self.newest_ns = time.newest_ns;
+        self.pipeline.idle(Some(time.now_ns));
+        self.poll();
+        false
+    }
+
+    fn end(&mut self) {
+        self.pipeline.end();
+        self.poll();
+    }
 }
 
 fn print(sensor: &str, report: &Report, findings: &[Finding]) -> io::Result<()> {
