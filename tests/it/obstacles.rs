@@ -1,7 +1,8 @@
 //! Which obstacles are seen, and what of a floor is taken for one, by scenes that are ray-cast apart
 //! from the simulator; `examples/obstacles.rs` prints more of them.
 
-use sweepd_lab::cast::{Drawn, Scene, Sector, Sensor, kerb, ramp, step_down};
+use sweepd::sensor::Model;
+use sweepd_lab::cast::{Drawn, Scene, Sector, Sensor, Solid, kerb, ramp, step_down};
 
 /// Boxes that are drawn: more than half of them are struck well enough to count.
 const DRAWN: u64 = 250;
@@ -22,6 +23,29 @@ fn boxes_are_seen() {
     let (seen, all) = (seen.len(), seen.len() + missed.len());
     assert!(all >= 100, "{all}");
     assert!(seen as f64 >= 0.95 * all as f64, "{seen} of {all}");
+}
+
+/// A robot indoors whose sensor looks down: boxes that it must stop for.
+#[test]
+fn a_small_robot_sees_the_boxes_ahead() {
+    let mut sensor = Sensor::new(Model::Vlp16, 0.4);
+    sensor.pitch_rad = (-10_f64).to_radians();
+    // Width, depth, height, and the distance of the front, metres.
+    for (size_m, front_m) in [
+        ([0.3, 0.2, 0.15], 1.4),
+        ([0.4, 0.4, 0.25], 1.5),
+        ([0.4, 0.4, 0.25], 3.0),
+    ] {
+        let mut scene = Scene::with(vec![Solid::Cuboid {
+            middle_m: [0.0, front_m + size_m[1] / 2.0],
+            size_m,
+            yaw_rad: 0.0,
+        }]);
+        scene.walls_m = 4.5;
+        let view = sensor.look(&scene, &Sector::TURN);
+        assert!(view.strikes(0), "{size_m:?} {front_m}");
+        assert!(view.sees(0), "{size_m:?} {front_m}");
+    }
 }
 
 /// The least share of some pieces of the ground that is labelled ground, with its sensor.
