@@ -5,6 +5,7 @@ use std::fs;
 use std::process::Command;
 
 use crate::common::{program, root};
+use crate::{Folder, Ran, command};
 
 const HEAD: &str = "# Commands\n\nWhat `--help` says of each command. `SWEEPD_WRITE_PAGES=1 cargo test -p sweepd-tools --test cli \
                     commands_page` writes this page.\n";
@@ -56,4 +57,46 @@ fn bash_completes_a_subcommand_and_its_options() {
     let output = output.output().unwrap();
     let completed = String::from_utf8_lossy(&output.stdout);
     assert_eq!(completed, "replay\n--png\n", "{output:?}");
+}
+
+/// The commands of a page, as they are on lines of their own, with what the block of text below each
+/// promises.
+fn promised(page: &str) -> Vec<(&str, Vec<&str>)> {
+    let mut commands: Vec<(&str, Vec<&str>)> = Vec::new();
+    let mut is_output = false;
+    for line in page.lines() {
+        match line.strip_prefix("    sweepd ") {
+            Some(command) => commands.push((command, Vec::new())),
+            None if line.starts_with("```") => is_output = line == "```text",
+            None if is_output => commands.last_mut().expect("a command").1.push(line),
+            None => {}
+        }
+    }
+    commands
+}
+
+/// A robot is mounted and tuned by the page alone.
+#[test]
+fn mount_and_tune_prints_what_the_page_says() {
+    let page = fs::read_to_string(root().join("docs/mount.md")).unwrap();
+    let folder = Folder::new("mount");
+    let (_, config) = page.split_once("```toml\n").unwrap();
+    folder.write("sweepd.toml", config.split_once("```").unwrap().0);
+    let commands = promised(&page);
+    assert!(commands.len() >= 15, "{commands:?}");
+    for (args, lines) in commands {
+        let args: Vec<&str> = args.split(' ').collect();
+        let ran = Ran::of(
+            command(&args)
+                .current_dir(folder.0.path())
+                .output()
+                .unwrap(),
+        );
+        let said = format!("{}{}", ran.stdout, ran.stderr);
+        assert_eq!(ran.code, 0, "{args:?}: {said}");
+        for line in lines {
+            let is_said = said.lines().any(|one| one.contains(line));
+            assert!(is_said, "{args:?} lacks {line:?}:\n{said}");
+        }
+    }
 }
