@@ -13,6 +13,7 @@ mod existing;
 mod inputs;
 mod inspect;
 mod jobs;
+mod limits;
 mod made;
 mod mask;
 mod objects;

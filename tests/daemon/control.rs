@@ -2,6 +2,7 @@
 //! metrics.
 
 use std::net::UdpSocket;
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 use sweepd::sensor::Model;
@@ -189,6 +190,35 @@ fn sighup_takes_what_it_can_and_a_bad_file_changes_nothing() {
         let (status, health) = daemon.health();
         status == 503 && health["sensors"][0]["reason"] == off
     });
+}
+
+#[test]
+#[ignore = "the control thread reads, and waits with it"]
+fn a_configuration_that_is_not_read_holds_up_nothing() {
+    let port = free_port();
+    let mut daemon = Daemon::start(&[[82, port, port]], free_port(), SHORT_WATCHDOG);
+    daemon.until_ready();
+    // This reader waits for a writer, as one of a file on a disk that hangs.
+    let made = Command::new("mkfifo").arg(daemon.reloaded_file()).status();
+    assert!(made.unwrap().success());
+    daemon.signal("-HUP");
+    until("it reads", || {
+        !daemon.notified("RELOADING=1", None).is_empty()
+    });
+    let begun = Instant::now();
+    until("it is fed meanwhile", || {
+        daemon.notified("WATCHDOG=1", Some(begun)).len() >= 10
+    });
+    assert_eq!(daemon.health().1["sensors"][0]["state"], "waiting");
+    // One more is done when this one is.
+    daemon.signal("-HUP");
+    write(&daemon.reloaded_file(), "six hundred");
+    until("it refuses", || daemon.log().contains("is not taken"));
+    until("it reads again", || {
+        daemon.notified("RELOADING=1", None).len() == 2
+    });
+    daemon.signal("-TERM");
+    assert!(daemon.end().success());
 }
 
 #[test]
