@@ -41,6 +41,21 @@ pub fn utc_text(time_ns: i64) -> String {
     )
 }
 
+/// A text in one line that shows all that is in it: a character that would break the line, control the
+/// terminal or turn the direction of writing is escaped, as `\u{202e}`. For names from outside.
+pub fn visible(text: impl Display) -> String {
+    let mut shown = String::new();
+    for one in text.to_string().chars() {
+        let is_hidden = one.is_control()
+            || matches!(one, '\u{61c}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}');
+        match is_hidden {
+            true => shown.extend(one.escape_default()),
+            false => shown.push(one),
+        }
+    }
+    shown
+}
+
 /// The rate of things that came between two times: ` (753.5 a second)`, where there is more than
 /// one.
 pub fn rate(count: u64, first_ns: i64, last_ns: i64) -> String {

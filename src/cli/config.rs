@@ -10,7 +10,7 @@ use crate::daemon::config::{
     Config, RecordConfig, SensorConfig, differing, example, memory, read_text,
 };
 use crate::publish::{SHARED_MEMORY, free_bytes, pool_sweeps};
-use crate::text::count_of;
+use crate::text::{count_of, visible};
 use sweepd_core::segment::Method;
 
 /// Options of `sweepd config`.
@@ -60,7 +60,7 @@ fn check(file: &Path) -> Result<(), CliError> {
     let config = Config::parse(file, &written)?;
     let mut text = format!(
         "{}: {}\n",
-        file.display(),
+        visible(file.display()),
         count_of(config.sensors.len() as u64, "sensor")
     );
     for (sensor, settings) in config.sensors.iter().zip(differing(&written)) {

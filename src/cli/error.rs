@@ -11,6 +11,7 @@ use crate::daemon::record::client::RemoteRecordError;
 use crate::files::{CalibrationFileError, WriteError};
 use crate::input::{CaptureError, UdpError};
 use crate::publish::PublishError;
+use crate::text::visible;
 use sweepd_client::client::ClientError;
 
 /// Why a command did not complete.
@@ -113,7 +114,8 @@ pub(super) fn report(error: &CliError) {
     }
 }
 
-/// Prints a line on standard error. If that is closed, the message is lost.
+/// Prints a line on standard error, with all that is hidden in it [visible]. If that is closed, the
+/// message is lost.
 pub fn complain(severity: &str, message: impl Display) {
-    let _ = writeln!(io::stderr(), "{severity}: {message}");
+    let _ = writeln!(io::stderr(), "{severity}: {}", visible(message));
 }

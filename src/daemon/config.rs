@@ -27,6 +27,7 @@ pub use keys::example;
 
 use super::losses::Limits;
 use crate::sensor_settings::Settings;
+use crate::text::visible;
 use error::Problem;
 use sweepd_core::pipeline;
 use sweepd_core::segment::objects::MAX_WIDTH_RAD;
@@ -81,7 +82,7 @@ impl Config {
         let folder = path.parent().unwrap_or(Path::new(""));
         let config = file::read(text, folder)
             .and_then(|(file, found)| check::check(file, found, is_of_this_host));
-        config.map_err(|problems| Problems::new(path.display().to_string(), text, problems).into())
+        config.map_err(|problems| Problems::new(visible(path.display()), text, problems).into())
     }
 }
 
@@ -102,7 +103,7 @@ pub fn read_text(path: &Path) -> Result<String, ConfigError> {
             "this is no text",
             "expected UTF-8",
         );
-        Problems::new(path.display().to_string(), &text, vec![problem]).into()
+        Problems::new(visible(path.display()), &text, vec![problem]).into()
     })
 }
 

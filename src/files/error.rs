@@ -4,12 +4,14 @@ use std::io;
 use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 
+use crate::text::visible;
+
 /// Why an output cannot be written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WriteError {
     /// The directory does not exist and cannot be made.
-    #[error("cannot create the directory {}: {cause}", path.display())]
+    #[error("cannot create the directory {}: {cause}", visible(path.display()))]
     Directory {
         /// The directory.
         path: PathBuf,
@@ -18,7 +20,7 @@ pub enum WriteError {
         cause: io::Error,
     },
     /// The file cannot be written.
-    #[error("cannot write {}: {cause}", path.display())]
+    #[error("cannot write {}: {cause}", visible(path.display()))]
     File {
         /// The file, under its final name.
         path: PathBuf,
@@ -26,25 +28,25 @@ pub enum WriteError {
         cause: io::Error,
     },
     /// The name is that of a folder.
-    #[error("cannot write {}: it is a folder; choose another name", path.display())]
+    #[error("cannot write {}: it is a folder; choose another name", visible(path.display()))]
     Folder {
         /// The folder.
         path: PathBuf,
     },
     /// The file exists.
-    #[error("{} exists; --force replaces it", path.display())]
+    #[error("{} exists; --force replaces it", visible(path.display()))]
     Exists {
         /// The file.
         path: PathBuf,
     },
     /// Another process writes the file.
-    #[error("another process writes {}; end that one first, or choose another name", path.display())]
+    #[error("another process writes {}; end that one first, or choose another name", visible(path.display()))]
     Busy {
         /// The file.
         path: PathBuf,
     },
     /// The name says another format, or none.
-    #[error("{}: expected a name that ends in {endings}", path.display())]
+    #[error("{}: expected a name that ends in {endings}", visible(path.display()))]
     Name {
         /// The file.
         path: PathBuf,
@@ -52,13 +54,13 @@ pub enum WriteError {
         endings: String,
     },
     /// The part of a file was removed or replaced before it could take its name.
-    #[error("{} was removed or replaced while it was written: what was written is lost", path.display())]
+    #[error("{} was removed or replaced while it was written: what was written is lost", visible(path.display()))]
     Lost {
         /// The part.
         path: PathBuf,
     },
     /// A recording cannot be written.
-    #[error("cannot write {}: {cause}; {cure}", path.display(), cure = cure(cause))]
+    #[error("cannot write {}: {cause}; {cure}", visible(path.display()), cure = cure(cause))]
     Recording {
         /// The file.
         path: PathBuf,
@@ -67,7 +69,7 @@ pub enum WriteError {
     },
     /// A recording cannot be written to its end, but what there is of it stays.
     #[error("cannot write {}: {cause}; what was recorded stays there, and the next `sweepd record` to this name \
-        mends it", part.display())]
+        mends it", visible(part.display()))]
     Unfinished {
         /// The part.
         part: PathBuf,
@@ -76,7 +78,7 @@ pub enum WriteError {
     },
     /// The directory holds files of a former run.
     #[error("{} holds {held} of a former run ({}{}); --force replaces {}, or name another folder",
-        dir.display(), first.display(), if *several { ", ..." } else { "" }, if *several { "them" } else { "it" })]
+        visible(dir.display()), visible(first.display()), if *several { ", ..." } else { "" }, if *several { "them" } else { "it" })]
     Former {
         /// The directory.
         dir: PathBuf,

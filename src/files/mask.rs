@@ -4,6 +4,7 @@ use std::io::{self, Cursor};
 use std::path::Path;
 
 use super::read;
+use crate::text::visible;
 use sweepd_core::segment::{Mask, MaskError};
 
 /// Longest file that is read as a picture, bytes: the size of the largest picture without
@@ -50,7 +51,7 @@ pub struct Sentence(#[from] png::DecodingError);
 /// # Errors
 /// [`MaskFileError`].
 pub fn mask(path: &Path) -> Result<Mask, MaskFileError> {
-    let name = path.display().to_string();
+    let name = visible(path.display());
     match read(path, MAX_FILE_LEN) {
         Ok(bytes) => decode_mask(&bytes, &name),
         Err(source) => Err(MaskFileError::Io { name, source }),

@@ -14,6 +14,7 @@ use std::path::{Path, PathBuf};
 pub use error::WriteError;
 pub use mask::{MaskFileError, decode_mask, encode_mask, mask};
 
+use crate::text::visible;
 use sweepd_core::sensor::MAX_FILE_LEN;
 use sweepd_core::sensor::{Calibration, CalibrationError};
 
@@ -22,7 +23,7 @@ use sweepd_core::sensor::{Calibration, CalibrationError};
 #[non_exhaustive]
 pub enum CalibrationFileError {
     /// The file cannot be read at all.
-    #[error("cannot read the calibration {}: {source}", path.display())]
+    #[error("cannot read the calibration {}: {source}", visible(path.display()))]
     Io {
         /// The file.
         path: PathBuf,
@@ -45,7 +46,7 @@ pub fn calibration(path: &Path) -> Result<Calibration, CalibrationFileError> {
             path: path.to_owned(),
             source,
         })?;
-    Ok(Calibration::decode(&bytes, &path.display().to_string())?)
+    Ok(Calibration::decode(&bytes, &visible(path.display()))?)
 }
 
 /// The bytes of a file of at most `limit` bytes.

@@ -126,7 +126,6 @@ fn a_limit_of_the_process_is_named_with_what_is_needed() {
 }
 
 #[test]
-#[ignore = "names are shown as they are"]
 fn what_a_name_hides_is_shown() {
     let says = &["scan\\u{202e}pacp.\\n.exe"];
     let name = "scan\u{202e}pacp.\n.exe";

@@ -20,6 +20,7 @@ use crate::files;
 use crate::publish::{NAME_RULE, is_sensor_name};
 use crate::sensor_settings::{FieldOfView, Host, PhaseLock, Returns, Rpm, Switch};
 use crate::suggest::suggestion;
+use crate::text::visible;
 use sweepd_core::assemble::BodyBox;
 use sweepd_core::segment::Method;
 use sweepd_core::sensor::{Model, ModelExt};
@@ -352,7 +353,7 @@ fn calibration(sensor: &mut SensorConfig, path: &Path) -> Result<(), String> {
             calibration.beams().len()
         )),
     };
-    fits.map_err(|why| format!("calibration {}: {why}", path.display()))?;
+    fits.map_err(|why| format!("calibration {}: {why}", visible(path.display())))?;
     sensor.pipeline.calibration = Some(calibration);
     Ok(())
 }
@@ -366,7 +367,8 @@ fn mask(sensor: &mut SensorConfig, path: &Path) -> Result<(), String> {
             || "no model that this may be".to_owned(),
             |model| format!("not the {model}"),
         );
-        return Err(format!("mask {} has {rows} rows, {sensor}", path.display()));
+        let name = visible(path.display());
+        return Err(format!("mask {name} has {rows} rows, {sensor}"));
     }
     sensor.pipeline.segment.mask = Some(mask);
     Ok(())

@@ -18,7 +18,7 @@ use crate::files::WriteError;
 use crate::files::output::{Existing, open_special};
 use crate::files::sequence::{RecoveryWatch, Rotation, Written};
 use crate::recording::{Accept, RecordCounts, Recorder, RecorderConfig};
-use crate::text::count_of;
+use crate::text::{count_of, visible};
 
 /// From one attempt to begin a recording that has failed to the next, at first and at most. One
 /// that goes on for longer than the latter has failed for the first time when it fails again.
@@ -348,7 +348,7 @@ impl Recording {
     /// Writes with this recorder from now on; gives the one before, which had failed.
     pub(super) fn write_with(&mut self, recorder: Recorder, drops: Drops) -> Option<Recorder> {
         if self.trouble.is_none() {
-            info!("recording to {}", recorder.path().display());
+            info!("recording to {}", visible(recorder.path().display()));
         }
         self.writes_since = Instant::now();
         if let Origin::Client(client) = &mut self.origin
@@ -384,7 +384,7 @@ impl Recording {
     /// Says that its file is not open yet, if that is so.
     pub(super) fn note_slow_start(&mut self) {
         if self.is_beginning {
-            let path = self.target.path.display();
+            let path = visible(self.target.path.display());
             warn!("{path} is not open yet: nothing is recorded until it is; the sensors go on");
             self.trouble = Some(format!("{path} is not open yet"));
         }
@@ -414,7 +414,7 @@ impl Recording {
         }
         self.retries.went_on(self.writes_since.elapsed());
         if self.trouble.is_some() && self.writes_since.elapsed() > PROBATION {
-            info!("recording to {} again", recorder.path().display());
+            info!("recording to {} again", visible(recorder.path().display()));
             self.trouble = None;
         }
         let refused = self.counts.refused.load(Ordering::Relaxed);
@@ -424,7 +424,7 @@ impl Recording {
         if refused > known && is_time {
             warn!(
                 "the recording to {} is too slow: {} not recorded so far",
-                recorder.path().display(),
+                visible(recorder.path().display()),
                 count_of(refused, "datagram")
             );
             self.slow_logged = Some((refused, Instant::now()));
@@ -487,7 +487,7 @@ fn log_end(written: &Written, result: &Result<(), Arc<WriteError>>, is_known: bo
     match result {
         Ok(()) => info!(
             "recorded {datagrams} in {files}, the last {}",
-            written.last.display()
+            visible(written.last.display())
         ),
         // One that was begun again in vain.
         Err(_) if is_known && written.records == 0 => {}
