@@ -9,7 +9,11 @@ pub mod sequence;
 
 use std::fs::File;
 use std::io::{self, Read};
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
+use std::sync::mpsc;
+use std::thread;
+use std::time::Duration;
 
 pub use error::WriteError;
 pub use mask::{MaskFileError, decode_mask, encode_mask, mask};
@@ -17,6 +21,9 @@ pub use mask::{MaskFileError, decode_mask, encode_mask, mask};
 use crate::text::visible;
 use sweepd_core::sensor::MAX_FILE_LEN;
 use sweepd_core::sensor::{Calibration, CalibrationError};
+
+/// How long a file may take to be read. A sleeping disk answers within it; one that hangs never does.
+const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Why a calibration could not be read from a file.
 #[derive(Debug, thiserror::Error)]
@@ -53,7 +60,8 @@ pub fn calibration(path: &Path) -> Result<Calibration, CalibrationFileError> {
 ///
 /// # Errors
 /// The error of the system; [`io::ErrorKind::FileTooLarge`] for a longer file, which is not read
-/// further.
+/// further; [`io::ErrorKind::InvalidInput`] for a pipe or a device, which could block for ever;
+/// [`io::ErrorKind::TimedOut`] where the disk does not answer.
 pub fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let bytes = read_start(path, limit + 1)?;
     if bytes.len() as u64 > limit {
@@ -65,7 +73,79 @@ pub fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
 
 /// The first `len` bytes of a file, or fewer if it is shorter.
 fn read_start(path: &Path, len: u64) -> io::Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    File::open(path)?.take(len).read_to_end(&mut bytes)?;
-    Ok(bytes)
+    let path = path.to_owned();
+    within(PATIENCE, move || {
+        let mut bytes = Vec::new();
+        open(&path)?.take(len).read_to_end(&mut bytes)?;
+        Ok(bytes)
+    })
+}
+
+/// Opens a regular file, without waiting for a writer if it is a pipe. (A folder opens, and then
+/// cannot be read.)
+fn open(path: &Path) -> io::Result<File> {
+    let file = File::options()
+        .read(true)
+        .custom_flags(libc::O_NONBLOCK)
+        .open(path)?;
+    let kind = file.metadata()?.file_type();
+    if kind.is_file() || kind.is_dir() {
+        return Ok(file);
+    }
+    let found = if kind.is_fifo() { "pipe" } else { "device" };
+    let message = format!("it is a {found}; copy what it gives into a file, and name that");
+    Err(io::Error::new(io::ErrorKind::InvalidInput, message))
+}
+
+/// The result of `work`, on a thread of its own: no call ends early on a disk that hangs. That thread
+/// is left to its wait.
+fn within<T: Send + 'static>(
+    patience: Duration,
+    work: impl FnOnce() -> io::Result<T> + Send + 'static,
+) -> io::Result<T> {
+    let (sender, result) = mpsc::sync_channel(1);
+    // Who has waited long enough does not hear the result.
+    let thread = thread::Builder::new().name("file".to_owned());
+    thread.spawn(move || sender.send(work()))?;
+    result.recv_timeout(patience).unwrap_or_else(|_| {
+        let message = format!(
+            "no answer within {} s; check the disk or the network that it lies on",
+            patience.as_secs()
+        );
+        Err(io::Error::new(io::ErrorKind::TimedOut, message))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Instant;
+
+    #[test]
+    fn a_pipe_and_a_device_are_refused_at_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("pipe");
+        let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+        assert!(made.unwrap().success());
+        let begun = Instant::now();
+        for (path, what) in [(&pipe, "a pipe"), (&PathBuf::from("/dev/zero"), "a device")] {
+            let error = read(path, 100).unwrap_err();
+            assert_eq!(error.kind(), io::ErrorKind::InvalidInput);
+            assert!(error.to_string().contains(what), "{error}");
+        }
+        assert!(begun.elapsed() < PATIENCE);
+    }
+
+    #[test]
+    fn a_disk_that_hangs_is_given_up() {
+        let patience = Duration::from_millis(20);
+        let hangs = || {
+            thread::sleep(PATIENCE);
+            Ok(())
+        };
+        let begun = Instant::now();
+        let error = within(patience, hangs).unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::TimedOut);
+        assert!(begun.elapsed() < PATIENCE);
+    }
 }

@@ -19,7 +19,6 @@ use crate::common::command::*;
 use crate::common::setup::{Process, SOON, Setup};
 
 #[test]
-#[ignore = "a pipe is read until its writer ends, and there is none"]
 fn a_pipe_in_place_of_a_file_is_refused_and_not_waited_for() {
     let folder = Folder::new("pipe");
     let pipe = folder.path("pipe");
