@@ -10,11 +10,13 @@ use sweepd::cli::{self, Command};
 
 fn main() -> ExitCode {
     let words: Vec<OsString> = std::env::args_os().collect();
+    // First of all: a reload that is asked for at once must not end the daemon.
+    let hangup = cli::run::hold_hangup(&words);
     if let Some((tool, args)) = Tool::of(&words) {
         return cli::exit(tool.run(&args).map(|never| match never {}));
     }
     cli::exit(match cli::parse(&words).command {
-        Command::Run(args) => cli::run::run(&args),
+        Command::Run(args) => cli::run::run(&args, &hangup),
         Command::Replay(args) => cli::replay::run(&args),
         Command::Record(args) => cli::record::run(&args),
         Command::Watch(args) => cli::watch::run(&args),

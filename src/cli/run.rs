@@ -2,9 +2,14 @@
 
 mod journal;
 
+use std::ffi::OsString;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
+use signal_hook::consts::SIGHUP;
+use signal_hook::flag;
 use tracing::{info, warn};
 use tracing_subscriber::EnvFilter;
 
@@ -13,6 +18,7 @@ use super::CliError;
 use crate::daemon::config::{Config, ConfigError, Effect};
 use crate::daemon::control::{self, Reload, Reread};
 use crate::publish::{Domain, Keeper};
+use crate::text::visible;
 
 /// Variable with the log filter, in the directives of tracing-subscriber.
 const LOG: &str = "SWEEPD_LOG";
@@ -48,12 +54,23 @@ pub struct Args {
     log: Option<tracing::Level>,
 }
 
-/// Runs the command.
+/// Keeps SIGHUP from ending the daemon that these words start, until it listens to signals. The flag
+/// is set by one that came.
+pub fn hold_hangup(words: &[OsString]) -> Arc<AtomicBool> {
+    let came = Arc::default();
+    if words.get(1).is_some_and(|word| word == "run") {
+        // Where the system refuses, such a signal ends it as ever.
+        let _ = flag::register(SIGHUP, Arc::clone(&came));
+    }
+    came
+}
+
+/// Runs the command. `hangup` is set by a SIGHUP that came before the daemon listens to signals.
 ///
 /// # Errors
 /// [`CliError`]: an invalid configuration, or an error that keeps the daemon from starting or
 /// continuing.
-pub fn run(args: &Args) -> Result<(), CliError> {
+pub fn run(args: &Args, hangup: &AtomicBool) -> Result<(), CliError> {
     let config = args.read()?;
     log(args.log)?;
     let sensors: Vec<String> = config
@@ -64,7 +81,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     let from = args
         .config
         .as_ref()
-        .map_or_else(|| "--sensor".to_owned(), |file| file.display().to_string());
+        .map_or_else(|| "--sensor".to_owned(), |file| visible(file.display()));
     info!(
         "sweepd {} with {from}: {}",
         crate::VERSION,
@@ -87,6 +104,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         &Keeper::new(&domain)?,
         domain.root(),
         reread(args.clone()),
+        hangup,
     )?)
 }
 
@@ -156,7 +174,7 @@ fn log(level: Option<tracing::Level>) -> Result<(), CliError> {
 
 /// Reads the configuration again, for SIGHUP.
 fn reread(args: Args) -> Reread {
-    Box::new(move |old: &Config| {
+    Arc::new(move |old: &Config| {
         if args.config.is_none() {
             return Err("it was started with --sensor, so there is no file to read".to_owned());
         }

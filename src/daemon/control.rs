@@ -5,12 +5,15 @@ use crate::admission::Refusal;
 use std::future::pending;
 use std::io;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use tokio::net::TcpListener;
 use tokio::signal::unix::{Signal, SignalKind, signal};
-use tokio::time::{Interval, MissedTickBehavior, interval_at};
+use tokio::sync::oneshot;
+use tokio::time::{Interval, MissedTickBehavior, interval_at, timeout_at};
 use tracing::{error, info, warn};
 
 use super::config::{Config, DaemonConfig};
@@ -29,6 +32,9 @@ use super::state::{Condition, Message, Observation, Running, Watcher};
 use crate::cure::{Dialect, explain};
 use sweepd_core::pipeline::{DarkBeam, Notice};
 
+/// How long the configuration may be read at a reload: each of its files has a limit of its own, but
+/// there may be many.
+const READ_PATIENCE: Duration = Duration::from_secs(30);
 /// Interval between attempts to start: the first, and the longest.
 const RETRY: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(2));
 
@@ -45,11 +51,12 @@ pub struct Reload {
 }
 
 /// Reads the configuration again and compares it with the running one; the error says why it cannot
-/// be applied.
-pub type Reread = Box<dyn FnMut(&Config) -> Result<Reload, String>>;
+/// be applied. On a thread of its own, since a disk may hang.
+pub type Reread = Arc<dyn Fn(&Config) -> Result<Reload, String> + Send + Sync>;
 
-/// Runs the daemon until SIGTERM or SIGINT; SIGHUP reads the configuration again. `root` is the
-/// folder in which consumers find it, with its control socket.
+/// Runs the daemon until SIGTERM or SIGINT; SIGHUP reads the configuration again, as does `hangup`,
+/// which one may have set before this is called. `root` is the folder in which consumers find it, with
+/// its control socket.
 ///
 /// A signal ends it within 200 ms if its threads get a core. The recordings take longer: their data
 /// is synced before this returns, however slow the disk is. (systemd allows the TimeoutStopSec of
@@ -63,6 +70,7 @@ pub fn run<S: Sharing>(
     sharing: &S,
     root: &Path,
     reread: Reread,
+    hangup: &AtomicBool,
 ) -> Result<(), DaemonError> {
     let begun = Instant::now();
     let tokio = tokio::runtime::Builder::new_current_thread()
@@ -78,6 +86,7 @@ pub fn run<S: Sharing>(
             what: "handle signals",
             source,
         })?;
+        let is_to_reload = hangup.load(Ordering::Relaxed);
         let http = listen(&config.daemon).await?;
         let mut recordings = Recordings::default();
         let started = await_start(root, http.as_ref(), &mut signals, || {
@@ -94,7 +103,7 @@ pub fn run<S: Sharing>(
             .inspect_err(|error| warn!("`sweepd record --from` is not served: {error}"))
             .ok();
         Control::new(config, runtime, recordings, reread, told, root, begun)
-            .serve(sharing, signals, http, server)
+            .serve(sharing, signals, http, server, is_to_reload)
             .await
     })
 }
@@ -182,6 +191,8 @@ struct Control {
     runtime: Runtime,
     recordings: Recordings,
     reread: Reread,
+    /// The configuration, while it is read again.
+    reading: Option<Reading>,
     /// What the control socket tells of the sensors.
     told: Told,
     /// When tokio's clock began.
@@ -244,6 +255,7 @@ impl Control {
             runtime,
             recordings,
             reread,
+            reading: None,
             told,
             begun,
             watchers,
@@ -264,6 +276,7 @@ impl Control {
         mut signals: Signals,
         http: Option<Http>,
         server: Option<ControlServer>,
+        is_to_reload: bool,
     ) -> Result<(), DaemonError> {
         for status in self.runtime.sensors.iter() {
             info!(
@@ -275,12 +288,17 @@ impl Control {
         let serving = serve_health(http.as_ref(), view);
         let mut ticks = ticks(self.begun, self.period);
         self.notifier.ready();
+        if is_to_reload {
+            self.reload();
+        }
         tokio::pin!(serving);
         let ended = loop {
             tokio::select! {
                 _ = signals.terminate.recv() => break Ok("SIGTERM"),
                 _ = signals.interrupt.recv() => break Ok("SIGINT"),
-                _ = signals.reload.recv() => self.reload(),
+                // Those that come meanwhile wait, as one.
+                _ = signals.reload.recv(), if self.reading.is_none() => self.reload(),
+                read = heard(&mut self.reading) => self.take(read),
                 never = &mut serving => match never {},
                 event = self.recordings.next_event() => self.recordings.handle(event),
                 _ = ticks.tick() => match self.look_around() {
@@ -458,10 +476,32 @@ impl Control {
         &self.runtime.ports[index].name
     }
 
-    /// Reads the configuration again; everything keeps running, also after an error.
+    /// Begins to read the configuration again; everything keeps running, also after an error.
     fn reload(&mut self) {
         self.notifier.reloading();
-        match (self.reread)(&self.config) {
+        let (sender, result) = oneshot::channel();
+        let reread = Arc::clone(&self.reread);
+        let old = self.config.clone();
+        let thread = thread::Builder::new().name("reload".to_owned());
+        let read = move || {
+            // Who has waited long enough does not hear it.
+            let _ = sender.send(reread(&old));
+        };
+        match thread.spawn(read) {
+            Ok(_) => {
+                self.reading = Some(Reading {
+                    result,
+                    deadline: Instant::now() + READ_PATIENCE,
+                });
+            }
+            Err(error) => self.take(Err(format!("cannot start a thread: {error}"))),
+        }
+    }
+
+    /// Takes the configuration that was read.
+    fn take(&mut self, read: Result<Reload, String>) {
+        self.reading = None;
+        match read {
             Ok(Reload {
                 config,
                 taken,
@@ -496,6 +536,27 @@ impl Control {
         if self.config.record.as_ref() != self.recordings.config() || self.recordings.has_failed() {
             self.recordings.configure(self.config.record.as_ref());
         }
+    }
+}
+
+/// A configuration that another thread reads.
+struct Reading {
+    result: oneshot::Receiver<Result<Reload, String>>,
+    deadline: Instant,
+}
+
+/// What was read, or that it takes too long; never, where nothing is.
+async fn heard(reading: &mut Option<Reading>) -> Result<Reload, String> {
+    let Some(Reading { result, deadline }) = reading else {
+        return pending().await;
+    };
+    match timeout_at((*deadline).into(), result).await {
+        Ok(Ok(read)) => read,
+        Ok(Err(_)) => Err("the thread that read it has failed".to_owned()),
+        Err(_) => Err(format!(
+            "it is not read within {} s; check the disks and the network that its files lie on",
+            READ_PATIENCE.as_secs()
+        )),
     }
 }
 

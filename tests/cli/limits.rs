@@ -49,7 +49,6 @@ fn a_pipe_in_place_of_a_file_is_refused_and_not_waited_for() {
 
 /// The first line of its log waits for room in a pipe that is full.
 #[test]
-#[ignore = "SIGHUP ends it until it listens to signals"]
 fn a_reload_that_is_asked_for_at_the_start_is_done_then() {
     let setup = Setup::new("", "");
     let (mut log, mut full) = std::io::pipe().unwrap();

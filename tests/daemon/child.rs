@@ -7,6 +7,7 @@ use std::net::TcpStream;
 use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -83,7 +84,13 @@ fn runs_a_daemon() {
         })
     };
     let root = PathBuf::from(std::env::var(RELOADED).unwrap()).with_file_name("root");
-    if let Err(error) = control::run(config, &*rig, &root, Box::new(reread)) {
+    if let Err(error) = control::run(
+        config,
+        &*rig,
+        &root,
+        Arc::new(reread),
+        &AtomicBool::new(false),
+    ) {
         eprintln!("error: {error}");
         std::process::exit(1);
     }

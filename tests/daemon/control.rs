@@ -193,7 +193,6 @@ fn sighup_takes_what_it_can_and_a_bad_file_changes_nothing() {
 }
 
 #[test]
-#[ignore = "the control thread reads, and waits with it"]
 fn a_configuration_that_is_not_read_holds_up_nothing() {
     let port = free_port();
     let mut daemon = Daemon::start(&[[82, port, port]], free_port(), SHORT_WATCHDOG);
