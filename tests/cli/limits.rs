@@ -84,7 +84,6 @@ fn handles_hangup(pid: u32) -> bool {
 }
 
 #[test]
-#[ignore = "the error names a step of iceoryx2, and not the limit"]
 fn a_limit_of_the_process_is_named_with_what_is_needed() {
     for (limit, says) in [
         (

@@ -56,6 +56,21 @@ pub(crate) fn sleep(time: Duration) -> bool {
     unsafe { libc::poll(ptr::null_mut(), 0, ms) == 0 }
 }
 
+/// A limit of this process (getrlimit(2)); the greatest number where there is none.
+pub(crate) fn limit(resource: libc::__rlimit_resource_t) -> u64 {
+    let mut limits = libc::rlimit {
+        rlim_cur: libc::RLIM_INFINITY,
+        rlim_max: libc::RLIM_INFINITY,
+    };
+    // SAFETY: the call writes two numbers, which live. Where it fails, they stay.
+    unsafe { libc::getrlimit(resource, &raw mut limits) };
+    match limits.rlim_cur {
+        libc::RLIM_INFINITY => u64::MAX,
+        #[allow(clippy::useless_conversion, reason = "32 bits have another type")]
+        limit => limit.into(),
+    }
+}
+
 /// Bytes of shared memory on this host: all there may be, and those that are free (statvfs(3)).
 ///
 /// # Errors

@@ -5,6 +5,7 @@ use std::io;
 use iceoryx2::prelude::*;
 
 use crate::domain::{Domain, DomainError, SHARED_MEMORY};
+use crate::limits::{self, Shortage};
 use crate::service::Ipc;
 use crate::{host, leftovers};
 
@@ -28,6 +29,9 @@ pub enum JoinError {
         /// Bytes that are free.
         free: u64,
     },
+    /// A limit of this process leaves too little.
+    #[error(transparent)]
+    Limit(#[from] Shortage),
     /// The system does not say how much there is, or gives none.
     #[error("cannot take shared memory in {SHARED_MEMORY}: {_0}")]
     MemoryUnknown(io::Error),
@@ -42,16 +46,16 @@ pub enum JoinError {
     },
 }
 
-/// Checks that this many bytes of shared memory are free.
+/// Checks that this many bytes of shared memory are free, and that this process may take them.
 ///
 /// # Errors
-/// [`JoinError::Memory`], [`JoinError::MemoryUnknown`].
+/// [`JoinError::Memory`], [`JoinError::MemoryUnknown`], [`JoinError::Limit`].
 pub fn require_free(wanted: u64) -> Result<(), JoinError> {
     let free = host::free_bytes().map_err(JoinError::MemoryUnknown)?;
     if free < wanted {
         Err(JoinError::Memory { wanted, free })
     } else {
-        Ok(())
+        Ok(limits::require(wanted)?)
     }
 }
 

@@ -13,6 +13,7 @@ pub mod domain;
 pub mod host;
 pub mod join;
 pub mod leftovers;
+pub mod limits;
 pub mod service;
 mod subscriber;
 
