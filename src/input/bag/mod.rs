@@ -57,6 +57,11 @@ pub fn is_scans(kind: &str) -> bool {
     )
 }
 
+/// As much of a name as is shown.
+fn short(name: &str) -> String {
+    name.chars().take(MAX_NAME_CHARS).collect()
+}
+
 /// A message on a topic with scans.
 struct Message {
     /// Index of the topic.
@@ -124,7 +129,6 @@ impl Topics {
     }
 
     fn add_other(&mut self, name: &str, kind: &str) {
-        let short = |text: &str| text.chars().take(MAX_NAME_CHARS).collect::<String>();
         let other = format!("{} ({})", short(name), short(kind));
         if self.others.contains(&other) {
             return;

@@ -23,7 +23,7 @@ pub(crate) use record::*;
 
 use super::chunks::Chunks;
 use super::scan::Encoding;
-use super::{Log, MAX_MESSAGE_LEN, Message, Topics};
+use super::{Log, MAX_MESSAGE_LEN, Message, Topics, short};
 use crate::input::error::{Damage, Place, Stop};
 use crate::input::source::Input;
 
@@ -63,7 +63,8 @@ impl Mcap {
         let Some((schema, _)) = SchemaRecord::split(&body) else {
             return Err(Damage::BagRecord { what: "schema" }.into());
         };
-        self.schemas.insert(schema.id, schema.name);
+        // One that is no scan's is only shown, and there may be 65,536 of them.
+        self.schemas.insert(schema.id, short(&schema.name));
         Ok(())
     }
 
