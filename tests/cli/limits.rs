@@ -161,7 +161,6 @@ fn peak_mib(args: &[&str]) -> u64 {
 
 /// 64 sensors that send 20 packets each, 1.6 MB. What there is memory for, but not in use, is free.
 #[test]
-#[ignore = "memory for a sweep is written when it is taken, 18 MiB for each sensor"]
 fn many_sensors_with_few_packets_take_little_memory() {
     let config = EmitterConfig::new(Model::Vls128, ReturnMode::Dual).turns(0.02);
     let scene = street(1);

@@ -1,8 +1,9 @@
 //! Memory for sweeps: on the heap here, shared memory elsewhere.
 
+use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use zerocopy::{FromZeros, IntoBytes};
+use crate::sweep::layout::ALIGN;
 
 /// Gives out slices to build sweeps in.
 pub trait Buffers {
@@ -17,69 +18,63 @@ pub trait Buffers {
 /// allocate.
 #[derive(Clone, Debug, Default)]
 pub struct HeapBuffers {
-    free: Arc<Mutex<Vec<Vec<Line>>>>,
+    free: Arc<Mutex<Vec<Vec<u8>>>>,
 }
-
-/// 64 aligned bytes.
-#[derive(
-    Clone,
-    Copy,
-    Debug,
-    zerocopy::FromBytes,
-    zerocopy::IntoBytes,
-    zerocopy::KnownLayout,
-    zerocopy::Immutable,
-)]
-#[repr(C, align(64))]
-struct Line([u8; 64]);
 
 /// A slice on the heap.
 #[derive(Debug)]
 pub struct HeapBuffer {
-    lines: Vec<Line>,
-    home: Arc<Mutex<Vec<Vec<Line>>>>,
+    bytes: Vec<u8>,
+    /// Where it is aligned.
+    start: usize,
+    home: Arc<Mutex<Vec<Vec<u8>>>>,
 }
 
 impl Buffers for HeapBuffers {
     type Buffer = HeapBuffer;
 
     fn take(&mut self, bytes: usize) -> HeapBuffer {
-        let count = bytes.div_ceil(size_of::<Line>());
+        let count = bytes + ALIGN - 1;
         let mut free = self.free.lock().unwrap_or_else(PoisonError::into_inner);
-        let fitting = free.iter().position(|lines| lines.len() >= count);
-        let lines = fitting
-            .map(|index| free.swap_remove(index))
-            .unwrap_or_else(|| {
-                // Zeroed pages take no memory until they are touched, so that unused capacity is
-                // free.
-                Line::new_vec_zeroed(count).expect("a sweep fits the address space")
-            });
+        let fitting = free.iter().position(|bytes| bytes.len() >= count);
+        // Zeroed pages take no memory until they are touched, so that unused capacity is free. That
+        // holds for bytes: the allocator writes zeroes itself where it is asked for more alignment.
+        let bytes = fitting.map_or_else(|| vec![0; count], |index| free.swap_remove(index));
         HeapBuffer {
-            lines,
+            start: bytes.as_ptr().align_offset(ALIGN),
+            bytes,
             home: Arc::clone(&self.free),
         }
     }
 }
 
+impl HeapBuffer {
+    /// As many bytes wherever it is aligned.
+    fn range(&self) -> Range<usize> {
+        self.start..self.start + self.bytes.len() - (ALIGN - 1)
+    }
+}
+
 impl AsRef<[u8]> for HeapBuffer {
     fn as_ref(&self) -> &[u8] {
-        self.lines.as_bytes()
+        &self.bytes[self.range()]
     }
 }
 
 impl AsMut<[u8]> for HeapBuffer {
     fn as_mut(&mut self) -> &mut [u8] {
-        self.lines.as_mut_bytes()
+        let range = self.range();
+        &mut self.bytes[range]
     }
 }
 
 impl Drop for HeapBuffer {
     fn drop(&mut self) {
-        let lines = std::mem::take(&mut self.lines);
+        let bytes = std::mem::take(&mut self.bytes);
         self.home
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
-            .push(lines);
+            .push(bytes);
     }
 }
 
