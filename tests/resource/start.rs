@@ -47,7 +47,10 @@ const CASES: [Case; 7] = [
         unshare: &["-m"],
         script: "ulimit -n 16",
         code: 1,
-        says: &["error: roof: this process may open 16 files and", "ulimit -n"],
+        says: &[
+            "error: roof: this process may open 16 files and",
+            "ulimit -n",
+        ],
     },
     Case {
         name: "the folder is read-only",
