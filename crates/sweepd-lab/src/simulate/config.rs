@@ -4,7 +4,8 @@ use std::borrow::Cow;
 use std::f64::consts::TAU;
 use std::net::Ipv4Addr;
 
-use super::clock::{Clock, ClockStep};
+use super::clock::{Clock, ClockStep, Reception};
+use super::gps::ReceiverFault;
 use super::head::{Encoder, FieldOfView, Motion, Motor, Pose};
 use super::optics::Optics;
 use super::shape::{Vec3, floor};
@@ -49,6 +50,8 @@ pub struct EmitterConfig {
     pub clock: Clock,
     /// A step of its clock.
     pub clock_step: Option<ClockStep>,
+    /// What is wrong with the time of its receiver, and when.
+    pub receiver_fault: Option<(ReceiverFault, Reception)>,
     /// UTC of the first shot, nanoseconds since 1970.
     pub start_utc_ns: i64,
     /// How far the receiving host's clock is ahead of UTC, nanoseconds.
@@ -86,6 +89,7 @@ impl EmitterConfig {
             optics: Optics::of(model),
             clock: Clock::Free { hour_ns: 0 },
             clock_step: None,
+            receiver_fault: None,
             // 2026-05-04 10:00:00 UTC.
             start_utc_ns: 1_777_888_800_000_000_000,
             host_ahead_ns: 0,

@@ -11,29 +11,88 @@ use sweepd_core::wire::position::{Board, Inertial, POSITION_PACKET_LEN, Position
 /// The sentence for the second before is complete this long after the pulse.
 const SENTENCE_DELAY_NS: i64 = 250_000_000;
 
+/// Nanoseconds in a week.
+const WEEK_NS: i64 = 7 * 86_400_000_000_000;
+/// 2000-01-01, where a receiver begins that has had no satellite yet, nanoseconds since 1970.
+const UNSET_NS: i64 = 946_684_800_000_000_000;
+
+/// What is wrong with the time that a receiver gives, though it says that it is valid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ReceiverFault {
+    /// Its date is 1024 weeks too early: it counts weeks with ten bits.
+    Week,
+    /// It repeats the sentence with which the fault began.
+    Frozen,
+    /// It counts from 2000-01-01: it has had no satellite since it was switched on.
+    Unset,
+    /// It is so many nanoseconds ahead.
+    Ahead(i64),
+    /// The check sum of each second sentence is wrong.
+    Garbled,
+}
+
+impl ReceiverFault {
+    /// The second of UTC that the receiver gives for this one, both in nanoseconds since 1970;
+    /// `begun_ns` is the one in which the fault began.
+    fn said_ns(self, utc_ns: i64, begun_ns: i64) -> i64 {
+        match self {
+            Self::Week => utc_ns - 1024 * WEEK_NS,
+            Self::Frozen => begun_ns,
+            Self::Unset => utc_ns - begun_ns + UNSET_NS,
+            Self::Ahead(by_ns) => utc_ns + by_ns,
+            Self::Garbled => utc_ns,
+        }
+    }
+}
+
+/// What is wrong with the receiver at this time.
+fn fault(config: &EmitterConfig, elapsed_ns: i64) -> Option<(ReceiverFault, Reception)> {
+    let (_, span) = config.receiver_fault?;
+    let has_begun = (span.from_ns..span.to_ns).contains(&elapsed_ns);
+    config.receiver_fault.filter(|_| has_begun)
+}
+
+/// The second that the receiver gives as UTC this long after the first shot, if its sentences take
+/// so long; nanoseconds since 1970.
+pub(super) fn said_ns(config: &EmitterConfig, elapsed_ns: i64, delay_ns: i64) -> i64 {
+    let second_at = |elapsed_ns: i64| {
+        let utc_ns = config.start_utc_ns + elapsed_ns - delay_ns;
+        utc_ns - utc_ns.rem_euclid(1_000_000_000)
+    };
+    let utc_ns = second_at(elapsed_ns);
+    match fault(config, elapsed_ns) {
+        Some((fault, span)) => fault.said_ns(utc_ns, second_at(span.from_ns.max(0))),
+        None => utc_ns,
+    }
+}
+
+/// The sentence that is complete this long after the first shot. Without a place it continues by
+/// its own clock, with status `V`.
+fn sentence(config: &EmitterConfig, elapsed_ns: i64, position_deg: Option<(f64, f64)>) -> String {
+    let utc_ns = said_ns(config, elapsed_ns, SENTENCE_DELAY_NS);
+    let text = Rmc {
+        utc_ns,
+        valid: position_deg.is_some(),
+        position_deg,
+    }
+    .emit();
+    match fault(config, elapsed_ns) {
+        Some((ReceiverFault::Garbled, _)) if utc_ns / 1_000_000_000 % 2 == 0 => {
+            text.replace("GPRMC", "GNRMC")
+        }
+        _ => text,
+    }
+}
+
 /// The 512 bytes of the position packet that a sensor sends this long after its first shot.
 pub fn position_packet(
     config: &EmitterConfig,
     elapsed_ns: i64,
     rng: &mut Rng,
 ) -> [u8; POSITION_PACKET_LEN] {
-    let EmitterConfig {
-        model,
-        clock,
-        start_utc_ns,
-        ..
-    } = *config;
+    let EmitterConfig { model, clock, .. } = *config;
     let (pulse, place) = clock.received(elapsed_ns);
-    let sentence = place.map(|position_deg| {
-        let second = (start_utc_ns + elapsed_ns - SENTENCE_DELAY_NS).div_euclid(1_000_000_000);
-        // Without satellites it continues by its own clock, with status `V`.
-        Rmc {
-            utc_ns: second * 1_000_000_000,
-            valid: position_deg.is_some(),
-            position_deg,
-        }
-        .emit()
-    });
+    let sentence = place.map(|position_deg| sentence(config, elapsed_ns, position_deg));
     let inertial = model == Model::Hdl32e;
     // The HDL-32E has no byte for the pulse.
     let pps = if inertial { Pps::Absent } else { pulse };

@@ -4,6 +4,7 @@ use zerocopy::little_endian::{I16, U16};
 
 use super::clock::Clock;
 use super::config::{EmitterConfig, destination};
+use super::gps::said_ns;
 use sweepd_core::sensor::{Model, stream};
 use sweepd_core::wire::data::ReturnMode;
 use sweepd_core::wire::hdl64::{
@@ -137,7 +138,7 @@ impl Status {
 fn clock(config: &EmitterConfig, elapsed_ns: i64) -> hdl64::Clock {
     let utc_ns = match config.clock {
         Clock::Gps { reception, .. } if reception.follows_utc(elapsed_ns) => {
-            config.start_utc_ns + elapsed_ns
+            said_ns(config, elapsed_ns, 0)
         }
         Clock::Gps { .. } => START_OF_UNIT_NS + elapsed_ns,
         Clock::Free { hour_ns } => START_OF_UNIT_NS + hour_ns + elapsed_ns,

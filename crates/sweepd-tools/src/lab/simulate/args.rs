@@ -19,7 +19,7 @@ use sweepd_core::segment::Mount;
 use sweepd_core::sensor::model::Spec;
 use sweepd_core::sensor::{Calibration, Model, ModelExt};
 use sweepd_core::wire::data::ReturnMode;
-use sweepd_lab::simulate::clock::{Clock, Reception};
+use sweepd_lab::simulate::gps::{Clock, ReceiverFault, Reception};
 use sweepd_lab::simulate::shape::Vec3;
 use sweepd_lab::simulate::{EmitterConfig, Motion, Motor, Scene, Setting};
 
@@ -92,6 +92,12 @@ pub struct Args {
     /// may be left out, such as 2..; the clock follows two seconds after FROM
     #[arg(long, value_name = "WHEN", default_value = "locked", value_parser = gps, allow_negative_numbers = true)]
     pub(super) gps: GpsReceiver,
+    /// What is wrong with the receiver's time, though it says that it is valid: week (1024 weeks too
+    /// early), frozen (one sentence again and again), unset (it counts from 2000-01-01), garbled (each
+    /// second check sum), or the seconds that it is ahead; with @FROM..TO only then, such as
+    /// 3600@5..10
+    #[arg(long, value_name = "WHAT", value_parser = receiver_fault, allow_negative_numbers = true)]
+    pub(super) gps_fault: Option<(ReceiverFault, Reception)>,
     /// By how much the speed of the motor drifts up and down, percent
     #[arg(
         long, value_name = "PERCENT", default_value = "0.03",
@@ -211,6 +217,23 @@ fn gps(text: &str) -> Result<GpsReceiver, String> {
                     .to_owned()
             }),
     }
+}
+
+fn receiver_fault(text: &str) -> Result<(ReceiverFault, Reception), String> {
+    let (what, when) = text.split_once('@').unwrap_or((text, ".."));
+    let fault = match what {
+        "week" => Some(ReceiverFault::Week),
+        "frozen" => Some(ReceiverFault::Frozen),
+        "unset" => Some(ReceiverFault::Unset),
+        "garbled" => Some(ReceiverFault::Garbled),
+        _ => within(-86_400_000.0..=86_400_000.0, "seconds")(what)
+            .ok()
+            .map(|seconds| ReceiverFault::Ahead((seconds * 1e9) as i64)),
+    };
+    fault.zip(reception(when)).ok_or_else(|| {
+        "expected week, frozen, unset, garbled or the seconds ahead, and then perhaps @FROM..TO in seconds, such as 3600@5..10"
+            .to_owned()
+    })
 }
 
 /// `FROM..TO`, `FROM..` or `..TO`, in seconds.
@@ -414,6 +437,7 @@ impl Args {
                 turn_rad_s: self.turn_rate.to_radians(),
             };
             config.clock = self.gps.clock();
+            config.receiver_fault = self.gps_fault;
             config.start_utc_ns = start_utc_ns;
             config.address = Ipv4Addr::new(192, 168, 1, 201 + number as u8);
             config.seed = self.seed.wrapping_add((number as u64) << 32);
