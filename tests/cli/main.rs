@@ -10,6 +10,7 @@ mod config;
 mod configured;
 mod errors;
 mod existing;
+mod gps_time;
 mod inputs;
 mod inspect;
 mod jobs;

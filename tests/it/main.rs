@@ -15,6 +15,7 @@ mod field_of_view;
 mod fixtures;
 mod from_cloud;
 mod golden;
+mod gps_time;
 mod hdl64e;
 mod leftover;
 mod matrix;
