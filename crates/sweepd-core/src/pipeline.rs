@@ -29,7 +29,8 @@ pub use report::{Counts, Fault, Notice};
 pub use timed::TimedSegmenter;
 
 use crate::assemble::builder::Builder;
-use crate::assemble::clock::vouched_utc_ns;
+use crate::assemble::clock::Clocks;
+use crate::assemble::gps::{GpsTime, Heard};
 use crate::buffers::OpenBuffer;
 use crate::buffers::{Buffers, Memory};
 use crate::segment::objects::Objects;
@@ -148,6 +149,8 @@ pub struct Status<'a> {
     /// Beams that no longer return, though those next to them do. The counts begin anew with another
     /// sensor.
     pub dark_beams: &'a DarkBeams,
+    /// The time of its GPS receiver, unless its packets cannot be decoded.
+    pub gps: Option<&'a GpsTime>,
 }
 
 impl Pipeline {
@@ -223,10 +226,10 @@ impl Pipeline {
             }
             Content::Position(position, rmc) => {
                 self.report.counts.position += 1;
-                if let Some(clocks) = self.state.clocks() {
+                if let Some(clocks) = self.state.clocks_mut() {
                     let without_pps = self.setup.config.gps_without_pps;
-                    let utc_ns = vouched_utc_ns(&position, rmc.as_ref(), without_pps);
-                    clocks.note_utc(utc_ns, position.stamp_us, arrival_ns);
+                    let heard = Heard::of(&position, rmc.as_ref(), without_pps);
+                    clocks.note_utc(heard, position.stamp_us, arrival_ns);
                 }
             }
         }
@@ -391,6 +394,7 @@ impl Pipeline {
             unit: self.state.unit(),
             field_of_view_deg: limits_cdeg.map(|(start, end)| (start / 100.0, end / 100.0)),
             dark_beams: &self.dark_beams,
+            gps: self.state.clocks().map(Clocks::gps),
         }
     }
 

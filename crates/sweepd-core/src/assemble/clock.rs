@@ -7,14 +7,13 @@
 
 use std::ops::RangeInclusive;
 
+use super::gps::{FIX_AGE_NS, GpsTime, Heard};
 use crate::sweep::layout::TimeSource;
 use crate::wire::nmea::Rmc;
 use crate::wire::position::Pps;
 use crate::wire::{HOUR_US, Position};
 
 const HOUR_NS: i64 = HOUR_US as i64 * 1000;
-/// A fix older than this no longer vouches for the time.
-const FIX_AGE_NS: i64 = 3_000_000_000;
 /// Age of a sentence's second by a clock that follows the pulse. The sentence takes up to a second
 /// to be complete, and packets repeat it until the next one is. One second more on each side allows
 /// for a receiver that names the coming second, or is late.
@@ -81,28 +80,7 @@ pub struct Clocks {
     newest_ns: [i64; 2],
     /// For each entry of [`MOVES_NS`], how long consecutive packets have had at least its delay.
     late_for_ns: [Option<i64>; MOVES_NS.len()],
-    fix: Option<Fix>,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Fix {
-    stamp_us: u32,
-    utc_ns: i64,
-    arrival_ns: i64,
-}
-
-impl Fix {
-    /// The stamp gives the time within the hour. The hour is the one that brings the result closest
-    /// to `near_utc_ns`.
-    fn new(stamp_us: u32, near_utc_ns: i64, arrival_ns: i64) -> Self {
-        let of_hour_ns = i64::from(stamp_us) * 1000;
-        let hours = (near_utc_ns - of_hour_ns + HOUR_NS / 2).div_euclid(HOUR_NS);
-        Self {
-            stamp_us,
-            utc_ns: hours * HOUR_NS + of_hour_ns,
-            arrival_ns,
-        }
-    }
+    gps: GpsTime,
 }
 
 /// UTC from a position packet, accurate to some seconds, nanoseconds since 1970. The sentence must
@@ -159,16 +137,20 @@ impl Clocks {
             .map(|(delay_ns, _)| sensor_ns.saturating_add(delay_ns))
     }
 
-    /// Notes the UTC that a sensor gives, accurate to some seconds, with a packet of this stamp;
-    /// `None` when no receiver vouches for it.
-    pub fn note_utc(&mut self, utc_ns: Option<i64>, stamp_us: u32, arrival_ns: i64) {
-        self.fix = utc_ns.map(|utc_ns| Fix::new(stamp_us, utc_ns, arrival_ns));
+    /// Notes what a packet of this stamp says of UTC.
+    pub fn note_utc(&mut self, heard: Heard, stamp_us: u32, arrival_ns: i64) {
+        self.gps.hear(heard, stamp_us, arrival_ns);
+    }
+
+    /// The time of the GPS receiver.
+    pub fn gps(&self) -> &GpsTime {
+        &self.gps
     }
 
     /// Forgets the offsets to the other clocks, because the sensor's clock has jumped.
     pub fn sensor_jumped(&mut self) {
         *self = Self {
-            fix: self.fix,
+            gps: self.gps,
             ..Self::default()
         };
     }
@@ -181,7 +163,7 @@ impl Clocks {
         clock: &SensorClock,
         newest_arrival_ns: i64,
     ) -> (i64, TimeSource) {
-        if let Some(fix) = self.fix {
+        if let Some(fix) = self.gps.fix() {
             let fix_ns = clock.read_ns(fix.stamp_us);
             let fresh = (newest_arrival_ns - fix.arrival_ns).abs() < FIX_AGE_NS;
             // A fix far from the stamps of data packets is of a clock that was set since.
@@ -203,9 +185,9 @@ mod tests {
     use super::*;
 
     /// As in a packet that is parsed.
-    fn vouched(position: &Position<'_>, without_pps: bool) -> Option<i64> {
+    fn heard(position: &Position<'_>, without_pps: bool) -> Heard {
         let rmc = position.nmea.and_then(|text| Rmc::parse(text).ok());
-        vouched_utc_ns(position, rmc.as_ref(), without_pps)
+        Heard::of(position, rmc.as_ref(), without_pps)
     }
 
     const SECOND: i64 = 1_000_000_000;
@@ -405,7 +387,7 @@ mod tests {
                 board: None,
                 thermal: None,
             };
-            vouched(&position, without_pps).is_some()
+            matches!(heard(&position, without_pps), Heard::Utc(_))
         };
         let stamp_us = 399_850_000;
         assert!(of(Pps::Absent, true, utc_ns, stamp_us, true));
@@ -443,7 +425,7 @@ mod tests {
         let mut clock = SensorClock::default();
         clock.set(1_082_340_595, 1_082_340_595_000);
         let mut clocks = Clocks::default();
-        clocks.note_utc(vouched(&position, false), position.stamp_us, 5 * SECOND);
+        clocks.note_utc(heard(&position, false), position.stamp_us, 5 * SECOND);
         // 2016-01-21 08:18:02.340595 UTC.
         let utc = (1_453_364_282_340_595_000, TimeSource::Gps);
         assert_eq!(clocks.resolve(1_082_340_595_000, &clock, 6 * SECOND), utc);
@@ -462,7 +444,7 @@ mod tests {
                 nmea: Some(&doubtful),
                 ..position
             };
-            clocks.note_utc(vouched(&doubtful, false), position.stamp_us, 6 * SECOND);
+            clocks.note_utc(heard(&doubtful, false), position.stamp_us, 6 * SECOND);
             assert_eq!(
                 clocks.resolve(1_082_340_595_000, &clock, 6 * SECOND).1,
                 TimeSource::Host

@@ -208,10 +208,10 @@ impl Decoding {
         let said = unit.hear(packet);
         // The packet that tells it is the first one decoded so.
         self.builder.decoder_mut().is_normalised = unit.is_normalised();
-        let UnitUpdate { series, utc_ns } = said?;
+        let UnitUpdate { series, heard } = said?;
         self.builder
             .clocks
-            .note_utc(utc_ns, packet.stamp_us(), arrival_ns);
+            .note_utc(heard, packet.stamp_us(), arrival_ns);
         if series == Some(Series::S3) && is_detected {
             // Until then it may have been either: with one return their timing is the same.
             self.detection.model = Model::Hdl64eS3;

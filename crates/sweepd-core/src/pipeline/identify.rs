@@ -257,10 +257,10 @@ impl Calibrating {
         if is_foreign {
             return None;
         }
-        if let Some(UnitUpdate { utc_ns, .. }) = self.unit.hear(bytes) {
+        if let Some(UnitUpdate { heard, .. }) = self.unit.hear(bytes) {
             self.handover
                 .clocks
-                .note_utc(utc_ns, bytes.stamp_us(), packet.arrival_ns);
+                .note_utc(heard, bytes.stamp_us(), packet.arrival_ns);
             self.marks = [self.marks[1], Some(*bytes)];
         }
         let mut detection = self.detection;

@@ -140,7 +140,17 @@ impl State {
     }
 
     /// What brings the sensor's time to time since 1970.
-    pub fn clocks(&mut self) -> Option<&mut Clocks> {
+    pub fn clocks(&self) -> Option<&Clocks> {
+        match self {
+            State::Detecting(detecting) => Some(&detecting.handover.clocks),
+            State::Calibrating(calibrating) => Some(&calibrating.handover.clocks),
+            State::Decoding(decoding) => Some(&decoding.builder.clocks),
+            State::Refusing => None,
+        }
+    }
+
+    /// The same, to be noted in.
+    pub fn clocks_mut(&mut self) -> Option<&mut Clocks> {
         match self {
             State::Detecting(detecting) => Some(&mut detecting.handover.clocks),
             State::Calibrating(calibrating) => Some(&mut calibrating.handover.clocks),

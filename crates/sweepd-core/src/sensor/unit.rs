@@ -2,6 +2,7 @@
 
 use super::compare::{Difference, differences};
 use super::{Calibration, stream};
+use crate::assemble::gps::Heard;
 use crate::wire::DataPacket;
 use crate::wire::data::ReturnMode;
 use crate::wire::hdl64::{
@@ -24,8 +25,8 @@ pub struct Unit {
 pub struct UnitUpdate {
     /// Its series, once that is known.
     pub series: Option<Series>,
-    /// UTC to the second, nanoseconds since 1970, if a GPS receiver gives both pulse and sentence.
-    pub utc_ns: Option<i64>,
+    /// What it says of UTC, to the second: a GPS receiver must give both pulse and sentence.
+    pub heard: Heard,
 }
 
 impl Unit {
@@ -38,14 +39,15 @@ impl Unit {
     }
 
     fn said(&self) -> UnitUpdate {
-        let utc_ns = self
-            .status
-            .clock()
-            .filter(|_| self.status.gps() == Some(Gps::Both))
-            .and_then(|c| c.utc_ns());
+        let clock = self.status.clock().and_then(|clock| clock.utc_ns());
+        let heard = match (self.status.gps(), clock) {
+            (Some(Gps::Both), Some(utc_ns)) => Heard::Utc(utc_ns),
+            (Some(Gps::Both), None) => Heard::Nothing,
+            _ => Heard::Lost,
+        };
         UnitUpdate {
             series: self.status.series(),
-            utc_ns,
+            heard,
         }
     }
 
