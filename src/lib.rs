@@ -86,6 +86,7 @@ pub mod doctor;
 pub mod export;
 pub mod files;
 pub mod floor;
+pub mod gps;
 pub mod holder;
 pub mod http;
 pub mod input;

@@ -447,6 +447,7 @@ impl Control {
                         sensor.sharing.trouble().unwrap_or(why)
                     );
                 }
+                Event::Time(source, doubt) => watcher.see_time(source, doubt).iter().for_each(log),
                 Event::Floor(sight, set) => log(&watcher.see_floor(sight, set)),
                 Event::SharedAgain => info!("{name}: sweeps are shared again"),
             }

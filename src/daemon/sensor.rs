@@ -10,13 +10,13 @@ use super::counters::{Gps, SensorCounters, Stage};
 use super::sharing::{ObjectsOutput, Outgoing};
 use crate::sensor_settings::FieldOfView;
 use sweepd_client::host::{monotonic_ns, realtime_ns};
-use sweepd_core::assemble::vouched_utc_ns;
+use sweepd_core::assemble::{GpsDoubt, GpsTime, vouched_utc_ns};
 use sweepd_core::buffers::{Buffers, Memory};
 use sweepd_core::floor::{FloorFinder, Sight};
 use sweepd_core::pipeline::{self, Arrival, Counts, Fault, Notice, Options, Pipeline};
 use sweepd_core::segment::{ConfigError, Mount};
 use sweepd_core::sensor::unit::Unit;
-use sweepd_core::sweep::layout::{Completion, flags};
+use sweepd_core::sweep::layout::{Completion, TimeSource, flags};
 use sweepd_core::sweep::objects::{self, Sending, flags as objects_flags};
 use sweepd_core::sweep::{Header, SweepMut};
 use sweepd_core::wire::nmea::Rmc;
@@ -43,6 +43,9 @@ pub enum Event {
     /// What it sees of the floor, once that is certain and when it has changed much, and the mount
     /// that is set.
     Floor(Sight, Mount),
+    /// The clock of its sweeps, and what is doubtful about the time of its GPS receiver, when either
+    /// changes.
+    Time(TimeSource, Option<GpsDoubt>),
 }
 
 /// A sensor at work.
@@ -72,6 +75,8 @@ pub struct Sensor<B: Buffers> {
     floor: FloorFinder,
     /// What was reported of the floor.
     told_floor: Sight,
+    /// What was reported of its time.
+    told_time: (TimeSource, Option<GpsDoubt>),
 }
 
 /// Names of a sensor, and the receivers of its events and counts.
@@ -127,6 +132,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
             finds_objects: false,
             floor,
             told_floor: Sight::Unknown,
+            told_time: (TimeSource::Host, None),
         })
     }
 
@@ -167,11 +173,20 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         self.pipeline.push(packet);
         if let Content::Position(position, rmc) = &packet.content {
             let without_pps = self.config.gps_without_pps;
-            self.counters
-                .set_gps(gps_of(position, rmc.as_ref(), without_pps));
+            let gps = gps_of(position, rmc.as_ref(), without_pps);
+            self.counters.set_gps(self.believed(gps));
             if let Some(temperature_c) = temperature_of(position) {
                 self.counters.set_temperature_c(temperature_c);
             }
+        }
+    }
+
+    /// What a receiver is that gives this much: only one whose time is believed is locked.
+    fn believed(&self, gps: Gps) -> Gps {
+        let time = self.pipeline.status().gps;
+        match gps {
+            Gps::Locked if time.is_some_and(|time| !time.is_locked()) => Gps::Incomplete,
+            gps => gps,
         }
     }
 
@@ -220,7 +235,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
                 .for_each(|celsius| self.counters.set_temperature_c(celsius.into()));
             unit.gps()
                 .into_iter()
-                .for_each(|gps| self.counters.set_gps(gps_of_unit(gps)));
+                .for_each(|gps| self.counters.set_gps(self.believed(gps_of_unit(gps))));
         }
     }
 
@@ -293,6 +308,11 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         });
         self.dropped_before = dropped;
         self.count(header);
+        let (time_source, is_partial) = (header.time_source(), header.has(flags::PARTIAL));
+        // The first one may have begun before any position packet.
+        if !is_partial {
+            self.tell_time(time_source);
+        }
         self.counters
             .set_dark_beams(self.pipeline.status().dark_beams.iter());
         self.publish_held();
@@ -310,6 +330,24 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         if self.floor.is_settled() && sight.is_news_after(&self.told_floor) {
             self.told_floor = sight;
             self.report(Event::Floor(sight, self.config.segment.mount));
+        }
+    }
+
+    /// Reports the clock of a sweep and the doubt about GPS time, if that is news.
+    fn tell_time(&mut self, time_source: TimeSource) {
+        let doubt = self.pipeline.status().gps.and_then(GpsTime::doubt);
+        let (told_source, told_doubt) = self.told_time;
+        let is_same_doubt = match (told_doubt, doubt) {
+            (Some(told), Some(doubt)) => told.is_kind_of(&doubt),
+            (told, doubt) => told.is_none() && doubt.is_none(),
+        };
+        if told_source != time_source || !is_same_doubt {
+            self.told_time = (time_source, doubt);
+            self.report(Event::Time(time_source, doubt));
+        }
+        if time_source == TimeSource::Host && self.counters.gps() == Some(Gps::Locked) {
+            // Its packets may have ended.
+            self.counters.set_gps(Gps::Incomplete);
         }
     }
 

@@ -6,11 +6,13 @@ use std::time::Duration;
 
 use super::losses::{Level, Limits, Losses, Recent, SensorAddress, Tally, Turn};
 use crate::sensor_settings::{FieldOfView, Settings};
-use crate::{beams, floor};
+use crate::{beams, floor, gps};
+use sweepd_core::assemble::GpsDoubt;
 use sweepd_core::floor::Sight;
 use sweepd_core::pipeline::DarkBeam;
 use sweepd_core::segment::Mount;
 use sweepd_core::sensor::Model;
+use sweepd_core::sweep::layout::TimeSource;
 use sweepd_core::wire::data::ReturnMode;
 
 /// A sensor no longer streams after this time without packets, or without a steady sweep while
@@ -174,6 +176,8 @@ pub struct Watcher {
     /// The beams that have been dark for so long that people are to be warned.
     dark: Vec<DarkBeam>,
     floor: (Sight, Mount),
+    /// The clock of its sweeps, and what is doubtful about GPS time.
+    time: (TimeSource, Option<GpsDoubt>),
     /// Model and mode as last logged.
     told: Option<(Model, ReturnMode)>,
 }
@@ -203,6 +207,7 @@ impl Watcher {
             unlike: Vec::new(),
             dark: Vec::new(),
             floor: Default::default(),
+            time: (TimeSource::Host, None),
             told: None,
         }
     }
@@ -283,6 +288,7 @@ impl Watcher {
             all.push(format!("{}: change one of the two", self.unlike()));
         }
         all.extend(beams::sentence(&self.dark));
+        all.extend(self.time.1.as_ref().map(gps::explain));
         (!all.is_empty()).then(|| all.join("; "))
     }
 
@@ -365,6 +371,33 @@ impl Watcher {
             }
             None => self.message(false, &format!("{}: {line}", floor::MOUNTED)),
         }
+    }
+
+    /// Takes the clock of the newest sweep and what is doubtful about GPS time; gives a message for
+    /// each that is another one.
+    pub fn see_time(&mut self, source: TimeSource, doubt: Option<GpsDoubt>) -> Vec<Message> {
+        let (was_source, was_doubt) = std::mem::replace(&mut self.time, (source, doubt));
+        let mut messages = Vec::new();
+        match doubt {
+            Some(doubt) if was_doubt.is_none_or(|was| !was.is_kind_of(&doubt)) => {
+                messages.push(self.message(true, &gps::explain(&doubt)));
+            }
+            None if was_doubt.is_some() => {
+                messages.push(self.message(false, "the GPS receiver is no longer in doubt"));
+            }
+            _ => {}
+        }
+        match source {
+            TimeSource::Gps if was_source != source => {
+                messages.push(self.message(false, "times are UTC by GPS"));
+            }
+            TimeSource::Host if was_source != source => {
+                let text = "GPS time is lost: times are of this host's clock";
+                messages.push(self.message(true, text));
+            }
+            _ => {}
+        }
+        messages
     }
 
     fn next(&self, now: &Observation, has_swept: bool) -> State {
@@ -765,6 +798,51 @@ mod tests {
             );
         }
         assert_eq!(roof.watcher.condition().floor.0, Sight::Floor(floor));
+    }
+
+    #[test]
+    fn gps_time_that_comes_goes_or_is_doubtful_is_logged_once() {
+        let mut roof = Watched::new(None);
+        roof.observe(5, 75, 1);
+        let mut see = |source, doubt| {
+            let told = roof.watcher.see_time(source, doubt);
+            let texts: Vec<String> = told.into_iter().map(|message| message.text).collect();
+            (texts, roof.watcher.complaint())
+        };
+        let (texts, complaint) = see(TimeSource::Gps, None);
+        assert_eq!(
+            (texts, complaint),
+            (vec!["roof: times are UTC by GPS".to_owned()], None)
+        );
+        // 2026-03-10 10:00:59 UTC, and the same at 2006-07-25.
+        let said_ns = 1_153_821_659_000_000_000;
+        let weeks = GpsDoubt::Weeks {
+            said_ns,
+            weeks: 1024,
+        };
+        let (texts, complaint) = see(TimeSource::Gps, Some(weeks));
+        let words = "2006-07-25 10:00:59.000 UTC, 1024 weeks too early";
+        assert!(texts.len() == 1 && texts[0].contains(words), "{texts:?}");
+        assert!(complaint.is_some_and(|why| why.contains(words)));
+        let later = GpsDoubt::Weeks {
+            said_ns: said_ns + 1_000_000_000,
+            weeks: 1024,
+        };
+        assert_eq!(see(TimeSource::Gps, Some(later)).0, [""; 0]);
+        let far = GpsDoubt::Far {
+            said_ns,
+            host_ns: 0,
+        };
+        let (texts, _) = see(TimeSource::Host, Some(far));
+        assert!(
+            texts.len() == 2
+                && texts[0].contains("1970-01-01 00:00:00.000 UTC")
+                && texts[0].contains("set it by NTP")
+                && texts[1] == "roof: GPS time is lost: times are of this host's clock",
+            "{texts:?}"
+        );
+        let (texts, complaint) = see(TimeSource::Host, None);
+        assert_eq!((texts.len(), complaint), (1, None));
     }
 
     #[test]

@@ -10,12 +10,14 @@ use crate::cure::{Dialect, explain};
 use crate::input::{Placed, UdpConfig, UdpError, UdpSource};
 use crate::sensor_settings::FieldOfView;
 use crate::streams::{Stream, Streams};
+use sweepd_core::assemble::GpsTime;
 use sweepd_core::buffers::{HeapBuffers, Memory};
 use sweepd_core::floor::FloorFinder;
 use sweepd_core::pipeline::{Config, Event, Notice, Pipeline};
 use sweepd_core::segment::ConfigError;
 use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::{TimeSource, flags};
+use sweepd_core::wire::nmea::Rmc;
 use sweepd_core::wire::{Content, Packet};
 
 /// Senders of other datagrams that are remembered by name.
@@ -233,6 +235,9 @@ impl DecodedSensor {
             let end_ns = header.time_ns + header.duration_ns as i64;
             observed.host_ahead_s = Some((header.arrival_ns - end_ns) as f64 * 1e-9);
         }
+        let doubt = self.pipeline.status().gps.and_then(GpsTime::doubt);
+        let observed = &mut self.observed;
+        observed.gps_doubt = doubt.or(observed.gps_doubt);
         self.floor.look(sweep);
         self.sweeps += 1;
         // The first one begins anywhere.
@@ -276,16 +281,19 @@ fn note_position(positions: &mut Vec<PositionSender>, address: IpAddr, packet: &
         return;
     };
     let fix = position.nmea.map(|_| rmc.is_some_and(|rmc| rmc.valid));
+    let unread = position.nmea.and_then(|text| Rmc::parse(text).err());
     if let Some(known) = positions.iter_mut().find(|known| known.address == address) {
         known.packets += 1;
         known.pps = position.pps;
         known.fix = fix;
+        known.unread = unread;
     } else if positions.len() < MAX_POSITIONS {
         positions.push(PositionSender {
             address,
             packets: 1,
             pps: position.pps,
             fix,
+            unread,
         });
     }
 }

@@ -9,10 +9,12 @@ use super::plan::{ExaminedPort, ExpectedSensor, Plan};
 use crate::input::udp::ReceiveBuffer;
 use crate::sensor_settings::FieldOfView;
 use crate::web_interface::Page;
+use sweepd_core::assemble::GpsDoubt;
 use sweepd_core::floor::Sight;
 use sweepd_core::pipeline::{Counts, DarkBeam};
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::data::ReturnMode;
+use sweepd_core::wire::nmea::NmeaError;
 use sweepd_core::wire::position::Pps;
 
 /// All that was seen.
@@ -141,6 +143,8 @@ pub struct ObservedSensor {
     pub floor: Sight,
     /// How far the host's clock is ahead of UTC by GPS, seconds, where GPS vouches for it.
     pub host_ahead_s: Option<f64>,
+    /// The newest doubt about the time of its GPS receiver.
+    pub gps_doubt: Option<GpsDoubt>,
 }
 
 impl ObservedSensor {
@@ -161,6 +165,7 @@ impl ObservedSensor {
             dark_beams: Vec::new(),
             floor: Sight::Unknown,
             host_ahead_s: None,
+            gps_doubt: None,
         }
     }
 
@@ -193,6 +198,8 @@ pub struct PositionSender {
     pub pps: Pps,
     /// Whether the last one had a sentence of a GPS receiver, and that one a fix.
     pub fix: Option<bool>,
+    /// Why the newest sentence cannot be read, if so.
+    pub unread: Option<NmeaError>,
 }
 
 /// This host.

@@ -46,7 +46,6 @@ fn capture(folder: &Folder, name: &str, sentence: Sentence) -> std::path::PathBu
 }
 
 #[test]
-#[ignore = "nothing tells it"]
 fn a_receiver_whose_time_cannot_be_right_is_told_and_weeks_are_added() {
     let folder = Folder::new("gps-time");
     for (name, sentence, year, source, words) in [
@@ -91,7 +90,6 @@ fn a_receiver_whose_time_cannot_be_right_is_told_and_weeks_are_added() {
 }
 
 #[test]
-#[ignore = "the cure is not told"]
 fn a_sentence_without_a_date_is_told_with_the_cure() {
     let folder = Folder::new("gps-gga");
     let text = inspect(&capture(&folder, "gga.pcap", without_date)).done();

@@ -1,6 +1,8 @@
 //! GPS state and health of a sensor, from position packets.
 
+use crate::gps;
 use crate::text::{count_of, rate, row, utc_text};
+use sweepd_core::assemble::{GpsDoubt, GpsTime, Heard};
 use sweepd_core::wire::nmea::Rmc;
 use sweepd_core::wire::position::Pps;
 use sweepd_core::wire::{Content, Packet};
@@ -14,6 +16,10 @@ pub(super) struct Positions {
     locked: u64,
     pps: Option<Pps>,
     sentence: Option<String>,
+    /// By valid sentences alone, with or without a pulse.
+    time: GpsTime,
+    /// The newest.
+    doubt: Option<GpsDoubt>,
     chips_c: Option<f64>,
     board_c: Option<(i8, i8)>,
 }
@@ -21,9 +27,14 @@ pub(super) struct Positions {
 impl Positions {
     /// Adds a position packet; ignores a data packet.
     pub(super) fn add(&mut self, packet: &Packet<'_>) {
-        let Content::Position(position, _) = packet.content else {
+        let Content::Position(position, rmc) = packet.content else {
             return;
         };
+        if let Some(rmc) = rmc.filter(|rmc| rmc.valid) {
+            let heard = Heard::Utc(rmc.utc_ns);
+            self.time.hear(heard, position.stamp_us, packet.arrival_ns);
+            self.doubt = self.time.doubt().or(self.doubt);
+        }
         if self.packets == 0 {
             self.first_ns = packet.arrival_ns;
         }
@@ -48,6 +59,9 @@ impl Positions {
         let rate = rate(self.packets, self.first_ns, self.last_ns);
         row(text, "position", format_args!("{packets}{rate}{whose}"));
         row(text, "GPS", self.gps());
+        if let Some(doubt) = &self.doubt {
+            row(text, "GPS time", gps::explain(doubt));
+        }
         if let Some((top, bottom)) = self.board_c {
             row(
                 text,
@@ -85,7 +99,11 @@ impl Positions {
                 });
                 format!("{pulse}, RMC {valid}: {}{place}", utc_text(rmc.utc_ns))
             }
-            Err(error) => format!("{pulse}, sentence `{}`: {error}", sentence.escape_default()),
+            Err(error) => format!(
+                "{pulse}, sentence `{}`: {error}; {}",
+                sentence.escape_default(),
+                gps::cure_sentence(error)
+            ),
         }
     }
 }

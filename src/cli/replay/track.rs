@@ -14,11 +14,13 @@ use crate::cli::output::SweepId;
 use crate::cli::play::When;
 use crate::cli::sections::Sections;
 use crate::cli::{CliError, complain};
+use crate::gps;
 use crate::input::Placed;
 use crate::publish::Slot;
 use crate::streams::{SteadyTime, Stream};
 use crate::text::count_of;
 use sweepd_client::host::realtime_ns;
+use sweepd_core::assemble::{GpsDoubt, GpsTime};
 use sweepd_core::buffers::Memory;
 use sweepd_core::pipeline::{Arrival, Counts, Event, Fault, Labels, Notice, Options, Pipeline};
 use sweepd_core::sensor::compare::Difference;
@@ -71,6 +73,8 @@ pub(super) struct Track<'a> {
     /// Number of the record with the newest packet; none at the end.
     record: Option<u64>,
     pub(super) fault: Option<String>,
+    /// What was shown of the time of its GPS receiver.
+    gps_doubt: Option<GpsDoubt>,
 }
 
 impl<'a> Track<'a> {
@@ -111,6 +115,7 @@ impl<'a> Track<'a> {
             newest_ns: 0,
             record: None,
             fault: None,
+            gps_doubt: None,
         })
     }
 
@@ -211,6 +216,14 @@ impl<'a> Track<'a> {
             self.fault = Some(fault);
         }
     }
+
+    /// Shows what is doubtful about the time of its GPS receiver, the first time.
+    fn show_gps_doubt(&mut self, doubt: GpsDoubt) {
+        if self.gps_doubt.replace(doubt).is_none() {
+            let message = format!("{}: {}", self.name, gps::explain(&doubt));
+            self.progress.suspend(|| complain("warning", message));
+        }
+    }
 }
 
 impl Stream for Track<'_> {
@@ -227,7 +240,11 @@ impl Stream for Track<'_> {
         };
         self.record = Some(placed.record);
         self.pipeline.push(packet);
-        self.detection = self.pipeline.status().detection.or(self.detection);
+        let status = self.pipeline.status();
+        self.detection = status.detection.or(self.detection);
+        if let Some(doubt) = status.gps.and_then(GpsTime::doubt) {
+            self.show_gps_doubt(doubt);
+        }
         if self.objects.is_some() {
             // So that objects are printed behind the packet that completes them.
             self.pipeline.idle(None);

@@ -6,7 +6,8 @@ use super::Findings;
 use crate::doctor::observe::{Observations, ObservedSensor, PortResult, PositionSender};
 use crate::doctor::plan::ExpectedSensor;
 use crate::doctor::{Severity, Topic};
-use crate::{beams, floor};
+use crate::{beams, floor, gps};
+use sweepd_core::assemble::GpsDoubt;
 use sweepd_core::floor::Sight;
 use sweepd_core::pipeline::DarkBeam;
 use sweepd_core::sensor::{Model, ModelExt};
@@ -313,7 +314,11 @@ impl SensorCheck<'_> {
             let cure = "its clock steps, or two sensors send as one: look for a second one of this address";
             self.warning(Topic::Clock, what, cure);
         }
-        let ahead = self.sensor.host_ahead_s;
+        if let Some(doubt) = &self.sensor.gps_doubt {
+            self.warning(Topic::Clock, gps::sentence(doubt), gps::cure(doubt));
+        }
+        let is_told = matches!(self.sensor.gps_doubt, Some(GpsDoubt::Far { .. }));
+        let ahead = self.sensor.host_ahead_s.filter(|_| !is_told);
         if let Some(ahead) = ahead.filter(|ahead| ahead.abs() > CLOCK_OFF_S) {
             let way = if ahead > 0.0 { "ahead of" } else { "behind" };
             let what = format!(
@@ -324,6 +329,10 @@ impl SensorCheck<'_> {
             self.warning(Topic::Clock, what, cure);
         }
         let Some(position) = position else { return };
+        if let Some(error) = position.unread {
+            let what = format!("the sentence of the GPS receiver is not read: {error}");
+            return self.warning(Topic::Clock, what, gps::cure_sentence(error));
+        }
         // An HDL-32E does not report the pulse.
         let is_hdl32e = self.sensor.model == Some(Model::Hdl32e);
         match (position.pps, position.fix) {

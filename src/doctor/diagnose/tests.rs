@@ -14,12 +14,14 @@ use crate::sensor_settings::{
     FieldOfView, Host as Destination, PhaseLock, Port, Returns, Rpm, Settings, Switch,
 };
 use crate::web_interface::Page;
+use sweepd_core::assemble::GpsDoubt;
 use sweepd_core::floor::{Floor, Sight};
 use sweepd_core::pipeline::{Counts, DarkBeam};
 use sweepd_core::segment::Mount;
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::layout::flags;
 use sweepd_core::wire::data::ReturnMode;
+use sweepd_core::wire::nmea::NmeaError;
 use sweepd_core::wire::position::Pps;
 
 const ADDRESS: Ipv4Addr = Ipv4Addr::new(192, 168, 1, 201);
@@ -103,6 +105,7 @@ fn healthy() -> Observations {
             packets: 40,
             pps: Pps::Locked,
             fix: Some(true),
+            unread: None,
         }],
         host: Host {
             interfaces: vec![interface],
@@ -870,6 +873,33 @@ fn clocks_are_looked_at() {
         Severity::Warning,
         Topic::Clock,
         &["37.0 s behind", "NTP"],
+    );
+    // 2006-07-25 and 2026-03-10.
+    let (said_ns, host_ns) = (1_153_821_659_000_000_000, 1_773_136_859_000_000_000);
+    with(
+        |seen| {
+            let one = &mut seen.sensors[0];
+            one.host_ahead_s = Some(6e8);
+            one.gps_doubt = Some(GpsDoubt::Far { said_ns, host_ns });
+        },
+        Severity::Warning,
+        Topic::Clock,
+        &["2006-07-25", "2026-03-10", "may not have been set"],
+    );
+    with(
+        |seen| {
+            let unread = Some(NmeaError::NotRmc);
+            let fix = Some(false);
+            let before = seen.positions[0].clone();
+            seen.positions[0] = PositionSender {
+                fix,
+                unread,
+                ..before
+            };
+        },
+        Severity::Warning,
+        Topic::Clock,
+        &["not an RMC sentence", "$GPRMC"],
     );
     with(
         |seen| seen.sensors[0].counts.unconfirmed = 4,
