@@ -13,6 +13,7 @@ use sweepd::buffers::HeapBuffer;
 use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::daemon::config::{Config, DaemonConfig, PortConfig, SensorConfig};
 use sweepd::daemon::sharing::{Outgoing, SharedOutput, Sharing, SharingError, SharingStatus};
+use sweepd::host::realtime_ns;
 use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::gps::{Clock, Reception};
@@ -230,6 +231,9 @@ pub fn cool_stream_without_gps(turns: f64) -> Vec<Sent> {
 fn stream_by(model: Model, mode: ReturnMode, turns: f64, clock: Clock) -> Vec<Sent> {
     let mut config = EmitterConfig::new(model, mode).turns(turns);
     config.clock = clock;
+    // As of this hour: a receiver of another day would be told. Stamps begin with it in any case.
+    let now_ns = realtime_ns();
+    config.start_utc_ns = now_ns - now_ns % 3_600_000_000_000;
     let scene = street(1);
     let sent: Vec<_> = Emitter::new(config, &scene).untold().collect();
     let first_ns = sent[0].arrival_ns;

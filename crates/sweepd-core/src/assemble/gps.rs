@@ -339,7 +339,7 @@ mod tests {
             let said_ns = now_ns - now_ns % SECOND;
             let stamp_us = (now_ns / 1000).rem_euclid(HOUR_US.into()) as u32;
             gps.hear(heard(said_ns, tenth / 10), stamp_us, now_ns + host_ahead_ns);
-            let off_ns = gps.fix().map(|fix| fix.utc_ns - now_ns);
+            let off_ns = (gps.fix()).map(|fix| fix.at(stamp_us, 0).utc_ns - now_ns);
             seen.push((off_ns, gps.doubt()));
         }
         seen
