@@ -57,7 +57,11 @@ pub mod mcap {
     }
 
     pub fn schema(id: u16, name: &str) -> Vec<u8> {
-        let definition = [text("ros2msg"), text("std_msgs/Header header")].concat();
+        schema_of(id, name, "std_msgs/Header header")
+    }
+
+    pub fn schema_of(id: u16, name: &str, definition: &str) -> Vec<u8> {
+        let definition = [text("ros2msg"), text(definition)].concat();
         record(
             3,
             &[&id.to_le_bytes()[..], &text(name), &definition].concat(),

@@ -276,6 +276,71 @@ fn each_topic_is_a_sensor_and_packets_come_in_the_order_of_time() {
     assert!(times[4..].is_sorted(), "{times:?}");
 }
 
+/// The definition of a fork's scan, with one number of eight bytes before the packets.
+fn unified(header: &str) -> String {
+    let line = "=".repeat(80);
+    format!(
+        "# A turn.\nuint8 VERSION=2\nstd_msgs/Header header  # when\nuint64 basetime\nFiring[] packets\n{line}\n\
+         MSG: std_msgs/Header\n{header}string frame_id\n{line}\nMSG: fork_msgs/Firing\ntime stamp\nuint8[1206] data\n"
+    )
+}
+
+/// What a fork calls a scan is one by its definition, or by its name where there is none; what says
+/// nothing of its encoding is CDR.
+#[test]
+fn scans_of_other_packages_are_read() {
+    let packets = &three()[0];
+    let insert = |mut message: Vec<u8>, at: usize, len: usize| {
+        message.splice(at..at, vec![9; len]);
+        message
+    };
+    let plain = "std_msgs/Header header";
+    for (kind, definition, encoding, message) in [
+        (SCAN, plain, "", cdr(packets, true)),
+        (
+            "sensor_interface/msg/VelodyneScan",
+            plain,
+            "cdr",
+            cdr(packets, false),
+        ),
+        // Four bytes of padding come before the number.
+        (
+            "fork_msgs/msg/Turn",
+            &unified("time stamp\n"),
+            "",
+            insert(cdr(packets, false), 24, 12),
+        ),
+        (
+            "fork_msgs/Turn",
+            &unified("uint32 seq\ntime stamp\n"),
+            "ros1",
+            insert(ros1_scan(packets), 21, 8),
+        ),
+    ] {
+        let names = [
+            mcap::schema_of(1, kind, definition),
+            mcap::channel(0, 1, "/left", encoding),
+        ];
+        let file = mcap::file(&[names.concat(), mcap::message(0, &message)]);
+        assert_eq!(
+            read(open(&file).unwrap()),
+            (expected(packets, "/left"), None),
+            "{kind}"
+        );
+    }
+    // Any list of something else is none, and the message does not say that packets are missing.
+    let definition = unified("time stamp\n").replace("1206", "1248");
+    let names = [
+        mcap::schema_of(1, "fork_msgs/msg/Scan", &definition),
+        mcap::channel(0, 1, "/left", "cdr"),
+    ];
+    let error = open(&mcap::file(&names)).err().unwrap();
+    assert!(
+        error.contains("/left (fork_msgs/msg/Scan) may hold packets") && !error.contains("Record"),
+        "{error}"
+    );
+}
+
 #[test]
 fn a_bag_without_packets_says_what_it_has() {
     let names = |count: u16| {

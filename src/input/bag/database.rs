@@ -204,7 +204,7 @@ impl<S: Read> Frames<S> {
                     if self.topics.len() == MAX_SENT_TOPICS || self.last.is_some() {
                         return refused("a topic too many");
                     }
-                    let index = topics.add(&name, &kind)?;
+                    let index = topics.add(&name, &kind, None)?;
                     let topic = index.map(|index| (index, Encoding::named(&format)));
                     self.topics.push(topic);
                 }

@@ -8,6 +8,7 @@
 
 mod chunks;
 mod database;
+mod definition;
 pub(crate) mod mcap;
 mod ros1;
 mod scan;
@@ -21,6 +22,7 @@ use std::path::{Path, PathBuf};
 use super::db3;
 use super::error::{CaptureError, Damage, Place, Stop, Truncation};
 use super::source::{Input, Opened, SQLITE_MAGIC, ZSTD_MAGIC, read_full};
+use definition::{ScanLayout, last_name};
 use scan::{Encoding, Scan};
 
 /// Most bytes of a message: ten thousand packets, many turns of any model.
@@ -47,14 +49,15 @@ trait Log: Send {
     fn place(&self) -> Place;
 }
 
-/// Whether messages of this type are scans, by its names in ROS 2, in ROS 1 and in DDS.
+/// Whether messages of this type are scans, by its name, of any package: forks keep the type.
 pub fn is_scans(kind: &str) -> bool {
-    matches!(
-        kind,
-        "velodyne_msgs/msg/VelodyneScan"
-            | "velodyne_msgs/VelodyneScan"
-            | "velodyne_msgs::msg::dds_::VelodyneScan_"
-    )
+    last_name(kind).ends_with("VelodyneScan")
+}
+
+/// Whether messages of this type may be packets in another form, by its name.
+fn is_like_packets(kind: &str) -> bool {
+    let name = last_name(kind);
+    name.contains("Packet") || name.contains("Scan") && !name.ends_with("LaserScan")
 }
 
 /// As much of a name as is shown.
@@ -73,13 +76,13 @@ struct Message {
 
 impl Message {
     /// The packets in it, also where rosbag2 has compressed each message.
-    fn scan(self) -> Option<Scan> {
+    fn scan(self, layout: Option<&ScanLayout>) -> Option<Scan> {
         let mut bytes = self.bytes;
         if bytes.starts_with(&ZSTD_MAGIC) {
             let compressed = Box::new(Cursor::new(bytes));
             bytes = Input::zstd(compressed).rest(MAX_MESSAGE_LEN).ok()?;
         }
-        Scan::new(bytes, self.encoding?)
+        Scan::new(bytes, self.encoding?, layout)
     }
 }
 
@@ -90,10 +93,14 @@ struct Topics {
     /// The first others, for a message, and whether there are more.
     others: Vec<String>,
     has_more: bool,
+    /// The first of the others that may hold packets.
+    like_packets: Option<String>,
 }
 
 struct Topic {
     name: String,
+    /// By the definition of its type; `None` where there is none.
+    layout: Option<ScanLayout>,
     source: SocketAddr,
     waiting: VecDeque<Scan>,
     /// Whether a message has come: one that never comes is not waited for.
@@ -101,11 +108,17 @@ struct Topic {
 }
 
 impl Topics {
-    /// Notes a topic with messages of this type. Its index, if these are scans.
-    fn add(&mut self, name: &str, kind: &str) -> Result<Option<usize>, Stop> {
+    /// Notes a topic with messages of this type, with their layout by its definition, if that is of
+    /// scans. Its index, if the messages are scans.
+    fn add(
+        &mut self,
+        name: &str,
+        kind: &str,
+        layout: Option<&ScanLayout>,
+    ) -> Result<Option<usize>, Stop> {
         bounded(name.len() as u64, MAX_TOPIC_LEN, "topic")?;
         let name = format!("/{}", name.trim_start_matches('/'));
-        if !is_scans(kind) {
+        if layout.is_none() && !is_scans(kind) {
             self.add_other(&name, kind);
             return Ok(None);
         }
@@ -121,6 +134,7 @@ impl Topics {
         let ip = Ipv6Addr::new(0x100, 0, 0, 0, 0, 0, 0, index as u16 + 1);
         self.scans.push(Topic {
             name,
+            layout: layout.cloned(),
             source: (ip, 0).into(),
             waiting: VecDeque::new(),
             is_active: false,
@@ -130,6 +144,9 @@ impl Topics {
 
     fn add_other(&mut self, name: &str, kind: &str) {
         let other = format!("{} ({})", short(name), short(kind));
+        if self.like_packets.is_none() && is_like_packets(kind) {
+            self.like_packets = Some(other.clone());
+        }
         if self.others.contains(&other) {
             return;
         }
@@ -269,10 +286,17 @@ impl Bag {
             let topics = bag.topics.list_others();
             let found = match &bag.truncation {
                 Some(truncation) => format!("{topics} as far as it is whole; {truncation}"),
-                None => format!(
-                    "{topics}. Record the driver's packets too, often /velodyne_packets: points do not \
+                None => match &bag.topics.like_packets {
+                    Some(other) => format!(
+                        "{topics}. {other} may hold packets, but in no form that is known: a list of a time and \
+                         uint8[1206] each is read where the bag has the definition of its type, and of a database \
+                         `ros2 bag convert` makes an MCAP that has it"
+                    ),
+                    None => format!(
+                        "{topics}. Record the driver's packets too, often /velodyne_packets: points do not \
                      become packets again"
-                ),
+                    ),
+                },
             };
             let name = bag.name;
             return Err(CaptureError::NoScans { name, found });
@@ -333,7 +357,7 @@ impl Bag {
             Ok(Some(message)) => {
                 let topic = &mut self.topics.scans[message.topic];
                 topic.is_active = true;
-                match message.scan() {
+                match message.scan(topic.layout.as_ref()) {
                     Some(scan) if scan.left() > 0 => topic.waiting.push_back(scan),
                     Some(_) => {}
                     None => self.malformed += 1,

@@ -14,6 +14,7 @@
 use std::collections::HashMap;
 
 use super::chunks::Chunks;
+use super::definition::ScanLayout;
 use super::scan::Encoding;
 use super::{Log, MAX_MESSAGE_LEN, Message, Topics};
 use crate::input::error::{Damage, Place, Stop};
@@ -63,7 +64,10 @@ impl Ros1Bag {
             return Err(Damage::BagRecord { what: "connection" }.into());
         };
         let kind = String::from_utf8_lossy(field(&data, b"type").unwrap_or_default());
-        if let Some(index) = topics.add(&String::from_utf8_lossy(topic), &kind)? {
+        let definition = field(&data, b"message_definition").unwrap_or_default();
+        let layout = ScanLayout::of(&String::from_utf8_lossy(definition));
+        let topic = String::from_utf8_lossy(topic);
+        if let Some(index) = topics.add(&topic, &kind, layout.as_ref())? {
             self.connections.insert(number, index);
         }
         Ok(())

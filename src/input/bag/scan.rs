@@ -9,12 +9,21 @@
 //! CDR begins with four bytes that say its byte order, aligns numbers to four bytes after them, and
 //! counts the NUL at the end of a text. ROS 1 aligns nothing and is little-endian. Seconds are
 //! signed in ROS 2. Layout: velodyne_msgs; the ROS 1 serialisation of wiki.ros.org/msg; DDS-XTypes
-//! 1.3, section 7.4.
+//! 1.3, section 7.4. A fork may have other fields around the packets: [`ScanLayout`].
 
+use super::definition::{Part, ScanLayout};
 use crate::input::source::ByteOrder;
 use sweepd_core::wire::data::DATA_PACKET_LEN;
 
 const STAMP_LEN: usize = 8;
+const ENCAPSULATION_LEN: usize = 4;
+/// The header, with the sequence number of ROS 1, and without it.
+const HEADER: [Part; 4] = [
+    Part::Number(4),
+    Part::Number(4),
+    Part::Number(4),
+    Part::Text,
+];
 
 /// How a message is serialised.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,10 +33,10 @@ pub(super) enum Encoding {
 }
 
 impl Encoding {
-    /// By its name in a bag.
+    /// By its name in a bag. Some recorders leave it empty; then it is that of ROS 2.
     pub(super) fn named(name: &str) -> Option<Self> {
         match name {
-            "cdr" => Some(Self::Cdr),
+            "cdr" | "" => Some(Self::Cdr),
             "ros1" => Some(Self::Ros1),
             _ => None,
         }
@@ -46,19 +55,34 @@ pub(super) struct Scan {
 }
 
 impl Scan {
-    /// Reads the header of a message; `None` if its length or its byte order is wrong.
-    pub(super) fn new(bytes: Vec<u8>, encoding: Encoding) -> Option<Self> {
-        let (order, frame_id) = match (encoding, bytes.get(..4)?) {
-            (Encoding::Cdr, [0, 0, ..]) => (ByteOrder::Big, 4 + STAMP_LEN),
-            (Encoding::Cdr, [0, 1, ..]) => (ByteOrder::Little, 4 + STAMP_LEN),
+    /// Reads what stands before the packets of a message, the header where no layout is given;
+    /// `None` if its length or its byte order is wrong.
+    pub(super) fn new(
+        bytes: Vec<u8>,
+        encoding: Encoding,
+        layout: Option<&ScanLayout>,
+    ) -> Option<Self> {
+        let (order, mut at, header) = match (encoding, bytes.get(..ENCAPSULATION_LEN)?) {
+            (Encoding::Cdr, [0, 0, ..]) => (ByteOrder::Big, ENCAPSULATION_LEN, &HEADER[1..]),
+            (Encoding::Cdr, [0, 1, ..]) => (ByteOrder::Little, ENCAPSULATION_LEN, &HEADER[1..]),
             (Encoding::Cdr, _) => return None,
-            (Encoding::Ros1, _) => (ByteOrder::Little, 4 + STAMP_LEN),
+            (Encoding::Ros1, _) => (ByteOrder::Little, 0, &HEADER[..]),
+        };
+        let aligned = |at: usize, to: usize| match encoding {
+            Encoding::Cdr => ENCAPSULATION_LEN + (at - ENCAPSULATION_LEN).next_multiple_of(to),
+            Encoding::Ros1 => at,
         };
         let word = |at: usize| Some(order.u32(*bytes.get(at..)?.first_chunk()?));
-        let mut at = frame_id + 4 + usize::try_from(word(frame_id)?).ok()?;
-        if encoding == Encoding::Cdr {
-            at = at.next_multiple_of(4);
+        for part in layout.map_or(header, |layout| &layout.before) {
+            at = match *part {
+                Part::Number(len) => aligned(at, len) + len,
+                Part::Text => {
+                    let len_at = aligned(at, 4);
+                    len_at + 4 + usize::try_from(word(len_at)?).ok()?
+                }
+            };
         }
+        at = aligned(at, 4);
         let left = word(at)?;
         at += 4;
         let scan = Self {
@@ -71,7 +95,9 @@ impl Scan {
         // The last packet has no padding, and writers pad a message to a multiple of 4, or not.
         let expected = u64::from(left) * scan.stride() as u64;
         let found = (scan.bytes.len() - at) as u64;
+        let has_more = layout.is_some_and(|layout| layout.has_more);
         let fits = match encoding {
+            _ if has_more => found >= expected,
             Encoding::Ros1 => found == expected,
             Encoding::Cdr => found.next_multiple_of(4) == expected,
         };

@@ -198,6 +198,20 @@ fn is_run_as_another(complaint: &[u8]) -> bool {
     !complaint.starts_with(b"setpriv")
 }
 
+/// A recorder may leave the format empty, and a fork may have the type in a package of its own.
+#[test]
+fn scans_without_a_format_and_of_other_packages_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("fork.db3");
+    let topics = [("/left", "sensor_interface/msg/VelodyneScan")];
+    let connection = database(&path, &topics, &[(0, cdr(&[(5, 9)], false))]);
+    connection
+        .execute_batch("UPDATE topics SET serialization_format = ''")
+        .unwrap();
+    let all = (expected(&[(5, 9)], "/left"), None);
+    assert_eq!(read(open(&path).unwrap()), all);
+}
+
 /// All commands that open a bag say the same of a database as of its folder.
 #[test]
 fn sweepd_reads_databases_through_the_program_beside_it() {

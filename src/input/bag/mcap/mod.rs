@@ -22,20 +22,22 @@ pub(crate) use chunk::{ChunkHeader, MAX_LEN};
 pub(crate) use record::*;
 
 use super::chunks::Chunks;
+use super::definition::ScanLayout;
 use super::scan::Encoding;
 use super::{Log, MAX_MESSAGE_LEN, Message, Topics, short};
 use crate::input::error::{Damage, Place, Stop};
 use crate::input::source::Input;
 
 const MESSAGE_HEADER_LEN: u64 = 22;
-/// Names stand at the start of their record; more than this of it is not read.
-const NAMES_LEN: u64 = 4096;
+/// Names stand at the start of their record, and the definition behind that of a schema; more than
+/// this of it is not read.
+const NAMES_LEN: u64 = 16 << 10;
 
 /// A file from its first record on.
 pub(super) struct Mcap {
     records: Chunks,
-    /// The message type of each schema.
-    schemas: HashMap<u16, String>,
+    /// The message type of each schema, and the layout of scans by its definition.
+    schemas: HashMap<u16, (String, Option<ScanLayout>)>,
     /// The topic and encoding of each channel with scans.
     channels: HashMap<u16, (usize, Option<Encoding>)>,
 }
@@ -60,11 +62,13 @@ impl Mcap {
 
     fn schema(&mut self, len: u64) -> Result<(), Stop> {
         let body = self.names(len)?;
-        let Some((schema, _)) = SchemaRecord::split(&body) else {
+        let Some((schema, rest)) = SchemaRecord::split(&body) else {
             return Err(Damage::BagRecord { what: "schema" }.into());
         };
+        let definition = split_text(rest).and_then(|(_, rest)| split_text(rest));
+        let layout = definition.and_then(|(text, _)| ScanLayout::of(&text));
         // One that is no scan's is only shown, and there may be 65,536 of them.
-        self.schemas.insert(schema.id, short(&schema.name));
+        self.schemas.insert(schema.id, (short(&schema.name), layout));
         Ok(())
     }
 
@@ -73,8 +77,10 @@ impl Mcap {
         let Some((channel, _)) = ChannelRecord::split(&body) else {
             return Err(Damage::BagRecord { what: "channel" }.into());
         };
-        let kind = self.schemas.get(&channel.schema);
-        if let Some(index) = topics.add(&channel.topic, kind.map_or("", String::as_str))? {
+        let schema = self.schemas.get(&channel.schema);
+        let (kind, layout) =
+            schema.map_or(("", None), |(kind, layout)| (&kind[..], layout.as_ref()));
+        if let Some(index) = topics.add(&channel.topic, kind, layout)? {
             let encoding = Encoding::named(&channel.encoding);
             self.channels.insert(channel.id, (index, encoding));
         }
