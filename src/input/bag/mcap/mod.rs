@@ -68,7 +68,8 @@ impl Mcap {
         let definition = split_text(rest).and_then(|(_, rest)| split_text(rest));
         let layout = definition.and_then(|(text, _)| ScanLayout::of(&text));
         // One that is no scan's is only shown, and there may be 65,536 of them.
-        self.schemas.insert(schema.id, (short(&schema.name), layout));
+        self.schemas
+            .insert(schema.id, (short(&schema.name), layout));
         Ok(())
     }
 
