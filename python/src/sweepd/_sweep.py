@@ -231,7 +231,8 @@ class Sweep(Headed):
             lengths["centroid_m"] = lengths["centroid_m"] @ pose[:3, :3].T + pose[:3, 3]
 
         names = [name for name in SEGMENT.names or () if not name.startswith("reserved")]
-        table: dict[str, Any] = {"sensor": self.name or self.sensor, "seq": self.sequence, "time_ns": self.header["time_ns"]}
+        table: dict[str, Any] = {"sensor": self.name or self.sensor, "seq": self.sequence}
+        table["time_ns"] = self.header["time_ns"]
         for name in names:
             values = lengths.get(name, self.segments[name])
             if values.ndim == 1:
