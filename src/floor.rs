@@ -33,7 +33,11 @@ pub fn line(floor: &Floor) -> String {
 }
 
 fn keys(floor: &Floor) -> [String; 3] {
-    let [pitch_deg, roll_deg] = [floor.pitch_rad, floor.roll_rad].map(f32::to_degrees);
+    let [pitch_deg, mut roll_deg] = [floor.pitch_rad, floor.roll_rad].map(f32::to_degrees);
+    // Half a turn has one name.
+    if roll_deg < -179.95 {
+        roll_deg += 360.0;
+    }
     [
         format!("height_m = {}", rounded(floor.height_m, 3)),
         format!("pitch_deg = {}", rounded(pitch_deg, 1)),

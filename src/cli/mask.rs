@@ -15,10 +15,11 @@ use crate::streams::{Stream, Streams};
 use crate::text::{count_of, grouped};
 use sweepd_core::assemble::Removal;
 use sweepd_core::buffers::{HeapBuffers, Memory};
+use sweepd_core::floor::{FloorFinder, Sight};
 use sweepd_core::pipeline::{Config, Event, Labels, Options, Pipeline};
 use sweepd_core::segment::Mask;
 use sweepd_core::sweep::SweepRef;
-use sweepd_core::sweep::layout::{flags, is_return};
+use sweepd_core::sweep::layout::flags;
 use sweepd_core::wire::Packet;
 
 /// Columns of the picture. At 1200 turns a minute, the firings of every model are less than half a
@@ -31,6 +32,8 @@ const LEAST_SWEEPS: usize = 5;
 /// Ranges of the robot are no further than this from their median, metres: the noise of a sensor
 /// and the shaking of a robot whose engine runs.
 const STEADY_M: f32 = 0.1;
+/// What is less high over the floor that is seen, metres, is not the robot.
+const FLOOR_M: f64 = 0.1;
 /// Share of the sweeps in which they must be.
 const NEARLY_ALL: f64 = 0.9;
 /// A row of which this share is hidden is hidden all around.
@@ -39,8 +42,8 @@ const ALL_AROUND: f64 = 0.95;
 /// Options of `sweepd mask`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
-The robot stands, and nothing else is within METRES: what is there in nearly all sweeps, always equally far away, is the robot. The \
-picture hides it, and one pixel more on all sides.
+The robot stands, and nothing else is within METRES: what is there in nearly all sweeps, always equally far away, and 10 cm over the \
+floor or higher, is the robot. The picture hides it, and one pixel more on all sides.
 
 Example:
   sweepd mask standing.pcap -o body.png
@@ -121,6 +124,7 @@ struct Views {
     pipeline: Pipeline,
     memory: Memory<HeapBuffers>,
     fault: Option<String>,
+    floor: FloorFinder,
     /// By row and column of the picture, metres; infinite where there is none, no number where
     /// nothing was fired.
     sweeps: Vec<Vec<f32>>,
@@ -153,12 +157,14 @@ impl Views {
             labels: Labels::Elsewhere,
             ..Options::default()
         };
+        let floor = FloorFinder::new(config.segment.mount);
         let pipeline = Pipeline::with_options("", config, options)
             .map_err(|error| CliError::Usage(error.to_string()))?;
         Ok(Self {
             pipeline,
             memory: Memory::default(),
             fault: None,
+            floor,
             sweeps: Vec::new(),
             turns: 0,
             every: 1,
@@ -212,7 +218,8 @@ impl Views {
             {
                 self.sweeps.clear();
             }
-            self.sweeps.push(nearest_m(sweep));
+            self.floor.look(sweep);
+            self.sweeps.push(nearest_m(sweep, &self.floor.sight()));
         }
         self.turns += 1;
     }
@@ -239,30 +246,36 @@ impl Views {
     }
 }
 
-/// The range of the nearest return in each pixel of the picture, metres.
-fn nearest_m(sweep: &SweepRef<'_>) -> Vec<f32> {
-    let rows = sweep.rows();
-    let mut nearest_m = vec![f32::NAN; WIDTH * rows];
-    for (index, &range_m) in sweep.range.iter().enumerate() {
-        let (column, row) = (index / rows, index % rows);
-        if !sweep.firing(row, column).is_measured() {
-            continue;
+/// The range of the nearest return over the floor in each pixel of the picture, metres; infinite where
+/// there is none, no number where nothing was fired.
+fn nearest_m(sweep: &SweepRef<'_>, floor: &Sight) -> Vec<f32> {
+    let mut nearest_m = vec![f32::NAN; WIDTH * sweep.rows()];
+    for column in 0..sweep.columns.len() {
+        for row in 0..sweep.rows() {
+            if sweep.firing(row, column).is_measured() {
+                nearest_m[pixel(sweep, row, column)] = f32::INFINITY;
+            }
         }
-        let at = Mask::column(WIDTH, sweep.azimuth_rad(row, column));
-        let nearest_m = &mut nearest_m[row * WIDTH + at];
-        for range_m in [
-            range_m,
-            sweep.range2.get(index).copied().unwrap_or_default(),
-        ] {
-            // The least of a number and none is the number.
-            *nearest_m = nearest_m.min(if is_return(range_m) {
-                range_m
-            } else {
-                f32::INFINITY
-            });
+    }
+    for one in sweep.returns() {
+        let is_floor = match floor {
+            Sight::Floor(floor) => {
+                let mount = floor.mount();
+                mount.up().height_m(one.point_m) + f64::from(floor.height_m) < FLOOR_M
+            }
+            Sight::Unknown | Sight::NoFloor => false,
+        };
+        if !is_floor {
+            let nearest_m = &mut nearest_m[pixel(sweep, one.row, one.column)];
+            *nearest_m = nearest_m.min(one.range_m);
         }
     }
     nearest_m
+}
+
+/// The pixel of the picture that shows a pixel of a sweep.
+fn pixel(sweep: &SweepRef<'_>, row: usize, column: usize) -> usize {
+    row * WIDTH + Mask::column(WIDTH, sweep.azimuth_rad(row, column))
 }
 
 /// The same with one pixel more on all sides; left and right are neighbours.

@@ -105,19 +105,20 @@ fn a_standing_robot_is_masked_and_removed() {
 }
 
 #[test]
-fn a_mask_of_nothing_or_of_the_floor_is_told() {
+fn a_mask_of_nothing_is_told_and_the_floor_is_not_the_robot() {
     let folder = Folder::new("no-body");
     let (capture, picture) = (standing(&folder, false), folder.path("body.png"));
     mask(&capture, &picture, &[]).says(&["within 1 m", "does the robot stand"]);
     mask(&fixture("street_vlp16_losses.pcap"), &picture, &[]).says(&["3 whole turns", "5 or more"]);
-    // The lowest rows meet the floor 3.1 m away.
-    let ran = mask(&capture, &picture, &["--within", "3.5"]);
-    assert_eq!(ran.code, 0);
-    assert!(
-        ran.stderr.contains("hidden all around: rows 14-15"),
-        "{}",
-        ran.stderr
-    );
+    // The two lowest rows meet the floor 3 and 3.5 m away: it is not hidden, but the wall ahead is.
+    let picture = folder.path("wall.png");
+    let ran = mask(&capture, &picture, &["--within", "3.6"]);
+    assert_eq!((ran.code, &ran.stderr[..]), (0, ""));
+    let read = sweepd::files::mask(&picture).unwrap();
+    for row in 14..16 {
+        assert!(!read.hides(row, std::f64::consts::PI), "{}", ran.stdout);
+    }
+    assert!(read.hides(8, 0.0), "{}", ran.stdout);
 }
 
 /// The same returns are gone from raw sweeps, tables, clouds and JSON, whoever segments.

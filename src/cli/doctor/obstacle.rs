@@ -17,7 +17,7 @@ use crate::doctor::obstacle::{ENOUGH_PERCENT, Obstacle, Report, SWEEPS, Seen, Tr
 use crate::doctor::{Finding, Plan};
 use crate::input::{Capture, Placed, UdpSource};
 use crate::streams::{SteadyTime, Stream, Streams};
-use crate::text::row;
+use crate::text::{count_of, row};
 use sweepd_client::client::{Client, Domain, LayoutError};
 use sweepd_client::host::realtime_ns;
 use sweepd_core::buffers::{HeapBuffers, Memory};
@@ -327,11 +327,9 @@ fn describe(sensor: &str, report: &Report) -> String {
     let mut text = format!("{sensor}\n");
     row(&mut text, "box", report.obstacle);
     if let (Some(returns), Some(rows)) = (report.returns, report.rows) {
-        row(
-            &mut text,
-            "returns",
-            format_args!("{returns} a sweep strike it, in {rows} rows"),
-        );
+        let rows = count_of(rows.round() as u64, "row");
+        let struck = format_args!("{returns} a sweep strike it, in {rows}");
+        row(&mut text, "returns", struck);
     }
     if let (Some(front_m), Some(right_m)) = (report.front_m, report.right_m) {
         let side = if right_m < 0.0 { "left" } else { "right" };
