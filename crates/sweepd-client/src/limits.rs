@@ -137,9 +137,13 @@ fn require_memory(root: &Path, own: &str, wanted: u64) -> Result<(), Shortage> {
             let Ok(limit) = read(files.limit).trim().parse() else {
                 continue;
             };
+            let used: u64 = read(files.used).trim().parse().unwrap_or(0);
+            if used.saturating_add(wanted) <= limit {
+                continue;
+            }
+            // The kernel adds these up when they are read, which may take it a while.
             let stat = read("memory.stat");
             let caches = files.caches.map(|name| number_of(&stat, name));
-            let used: u64 = read(files.used).trim().parse().unwrap_or(0);
             let used = used.saturating_sub(caches.iter().sum());
             if used.saturating_add(wanted) > limit {
                 let group = group.display().to_string();
