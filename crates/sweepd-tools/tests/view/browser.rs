@@ -431,7 +431,7 @@ fn the_robots_frame_is_that_of_replay() {
         let written = fs::read_to_string(out.join("sweep_000001.csv")).unwrap();
         let view = View::start(&[&[capture.as_str()], mount].concat());
         let mut tab = Tab::open(&format!("http://{}/#sweep=1", view.host));
-        tab.wait_for("window.sweepd.index === 1");
+        tab.wait_for("window.sweepd.index === 0");
         let choose = "const choice = document.getElementById('frame'); choice.value = 'robot'; \
                       choice.dispatchEvent(new Event('change'));";
         tab.value(choose);
