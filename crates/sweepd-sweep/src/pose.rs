@@ -147,7 +147,7 @@ impl Pose {
     }
 
     /// The box around a box of the frame in the other: least and greatest x, y and z, metres, as
-    /// those of a [`Segment`](super::Segment) are given.
+    /// those of a [`Segment`] are given.
     pub fn bounds(&self, min_m: [f32; 3], max_m: [f32; 3]) -> [[f64; 3]; 2] {
         let ends_m = [min_m, max_m].map(|end| end.map(f64::from));
         let mut bounds_m = [self.position_m; 2];
