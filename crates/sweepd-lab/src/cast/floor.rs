@@ -82,7 +82,7 @@ fn is_right(floor: &Floor, sensor: &Sensor) -> bool {
 fn a_mount_is_found_within_half_a_degree_and_two_percent() {
     let mut found = 0;
     let mut wrong = Vec::new();
-    for model in Drawn::MODELS {
+    for model in Drawn::MODELS.into_iter().chain([Model::PuckHiRes]) {
         for (number, height_m) in HEIGHTS_M.into_iter().enumerate() {
             let scene = room(20.0, number as u64);
             for tilt_deg in TILTS_DEG {
