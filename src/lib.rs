@@ -90,6 +90,7 @@ pub mod gps;
 pub mod holder;
 pub mod http;
 pub mod input;
+pub mod judge;
 pub mod publish;
 pub mod recording;
 pub mod sensor_settings;

@@ -24,95 +24,14 @@ use std::io;
 use std::net::Ipv4Addr;
 use std::time::Duration;
 
-use serde::Serialize;
-
 use crate::input::UdpError;
 use observe::PortResult;
 
+pub use crate::judge::{Finding, Severity, Topic};
 pub use diagnose::diagnose;
 pub use observe::Observations;
 pub use plan::Plan;
 use plan::ipv4;
-
-/// How bad it is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Severity {
-    /// Nothing can work like this.
-    Error,
-    /// It works, but not as it should.
-    Warning,
-    /// Nothing is wrong; good to know.
-    Note,
-}
-
-/// The topic of a finding, as a word for programs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Topic {
-    /// A port that cannot be listened on.
-    Port,
-    /// Nothing comes, or not from a sensor that should be there.
-    Silent,
-    /// Position packets come, and no data packets.
-    PositionOnly,
-    /// The model is unsupported, or another than configured.
-    Model,
-    /// Where the sensor sends to.
-    Destination,
-    /// Senders that are not expected, or several.
-    Senders,
-    /// Datagrams that are no sensor's packets.
-    Foreign,
-    /// Packets that were lost, dropped or came twice.
-    Loss,
-    /// The receive buffer.
-    Buffer,
-    /// The speed of the head.
-    Speed,
-    /// The field of view.
-    View,
-    /// Which returns are sent.
-    Returns,
-    /// Settings that are not as the configuration wants them.
-    Settings,
-    /// GPS, the pulse per second, and clocks.
-    Clock,
-    /// The calibration of an HDL-64E.
-    Calibration,
-    /// The lasers.
-    Lasers,
-    /// How the sensor is mounted, by the floor that it sees.
-    Mount,
-    /// An interface of this host.
-    Interface,
-    /// Shared memory: its size, and whose it is.
-    SharedMemory,
-    /// What a running daemon complains about.
-    Daemon,
-    /// A box that should be seen.
-    Obstacle,
-}
-
-/// A finding for people, and its cure.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Finding {
-    /// How bad it is.
-    pub severity: Severity,
-    /// What it is about.
-    pub topic: Topic,
-    /// What was found.
-    pub what: String,
-    /// The cure, a line for each step; empty if there is nothing to do.
-    pub cure: String,
-}
-
-impl Finding {
-    /// Whether something is wrong.
-    pub fn is_trouble(&self) -> bool {
-        self.severity != Severity::Note
-    }
-}
 
 /// Most web pages that are requested.
 const MAX_ASKED: usize = 16;

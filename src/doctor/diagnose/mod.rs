@@ -43,12 +43,7 @@ impl Findings {
         what: impl Into<String>,
         cure: impl Into<String>,
     ) {
-        self.0.push(Finding {
-            severity,
-            topic,
-            what: what.into(),
-            cure: cure.into(),
-        });
+        self.0.push(Finding::new(severity, topic, what, cure));
     }
 
     fn error(&mut self, topic: Topic, what: impl Into<String>, cure: impl Into<String>) {

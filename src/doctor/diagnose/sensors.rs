@@ -6,6 +6,7 @@ use super::Findings;
 use crate::doctor::observe::{Observations, ObservedSensor, PortResult, PositionSender};
 use crate::doctor::plan::ExpectedSensor;
 use crate::doctor::{Severity, Topic};
+use crate::judge::Remark;
 use crate::{beams, floor, gps};
 use sweepd_core::assemble::GpsDoubt;
 use sweepd_core::floor::Sight;
@@ -13,7 +14,6 @@ use sweepd_core::pipeline::DarkBeam;
 use sweepd_core::sensor::{Model, ModelExt};
 use sweepd_core::sweep::layout::flags;
 use sweepd_core::wire::data::ReturnMode;
-use sweepd_core::wire::position::Pps;
 
 /// Speeds that a Velodyne can be set to, turns a minute, with a margin.
 const SPEEDS: std::ops::RangeInclusive<f32> = 290.0..=1210.0;
@@ -23,8 +23,6 @@ const SPEED_SHARE: f32 = 0.03;
 const STEADY_SHARE: f32 = 0.05;
 /// More than this share of the packets lost costs whole objects.
 const MUCH_LOSS: f64 = 0.01;
-/// Greatest error of a clock, seconds: beyond it, times no longer fit those of other sensors.
-const CLOCK_OFF_S: f64 = 0.1;
 
 const LOSS_CURE: &str = "they were lost before this host: look at cable and plugs, a switch that is shared with \
      other traffic or at 100 Mbit/s, and Wi-Fi on the way; `ip -s link` counts errors of the interface";
@@ -141,6 +139,11 @@ impl SensorCheck<'_> {
         self.add(Severity::Note, topic, what, cure);
     }
 
+    fn remark(&mut self, remark: Remark) {
+        let finding = remark.finding().map(|finding| finding.of(&self.name));
+        self.findings.0.extend(finding);
+    }
+
     fn model(&mut self) {
         if let Some(fault) = &self.sensor.fault {
             let cure = "sweepd decodes VLP-16, Puck LITE and Hi-Res, VLP-32C, HDL-32E, HDL-64E S2, S2.1 and S3, \
@@ -225,11 +228,7 @@ impl SensorCheck<'_> {
             let what = format!("{} of {all} packets were lost", counts.lost);
             self.add(severity, Topic::Loss, what, &cure);
         }
-        if counts.duplicates > 0 {
-            let what = format!("{} packets came twice", counts.duplicates);
-            let cure = "look for a loop in the network, a port mirror of the switch, or two ways to this host";
-            self.warning(Topic::Loss, what, cure);
-        }
+        self.remark(Remark::Duplicates(counts.duplicates));
         if counts.malformed > 0 {
             let what = format!("{} packets are damaged", counts.malformed);
             let cure = "no checksum caught it: look at what rewrites packets on the way, or the sensor itself";
@@ -264,11 +263,7 @@ impl SensorCheck<'_> {
             .expected
             .is_some_and(|expected| expected.want.fov.is_some());
         if self.sensor.has(flags::BLANKED) && !is_wanted {
-            self.note(
-                Topic::View,
-                "its field of view is limited; it sends nothing from a sector of each turn",
-                "if that is not meant, set FOV Start 0 and FOV End 359 on its web page and press Save",
-            );
+            self.remark(Remark::LimitedView);
         }
         if self.sensor.has(flags::REVERSED) {
             self.note(
@@ -319,46 +314,16 @@ impl SensorCheck<'_> {
         }
         let is_told = matches!(self.sensor.gps_doubt, Some(GpsDoubt::Far { .. }));
         let ahead = self.sensor.host_ahead_s.filter(|_| !is_told);
-        if let Some(ahead) = ahead.filter(|ahead| ahead.abs() > CLOCK_OFF_S) {
-            let way = if ahead > 0.0 { "ahead of" } else { "behind" };
-            let what = format!(
-                "the clock of this host is {:.1} s {way} the sensor's GPS time",
-                ahead.abs()
-            );
-            let cure = "set it by NTP or PTP: `timedatectl` or `chronyc tracking` say how it is";
-            self.warning(Topic::Clock, what, cure);
+        if let Some(ahead) = ahead {
+            self.remark(Remark::HostClock(ahead));
         }
         let Some(position) = position else { return };
         if let Some(error) = position.unread {
             let what = format!("the sentence of the GPS receiver is not read: {error}");
             return self.warning(Topic::Clock, what, gps::cure_sentence(error));
         }
-        // An HDL-32E does not report the pulse.
-        let is_hdl32e = self.sensor.model == Some(Model::Hdl32e);
-        match (position.pps, position.fix) {
-            (Pps::Locked, Some(true)) => {}
-            (Pps::Locked, _) => self.note(
-                Topic::Clock,
-                "the pulse per second is locked, and the GPS receiver has no fix",
-                "give its antenna a view of the sky",
-            ),
-            (_, Some(true)) if is_hdl32e => {}
-            (_, None) => self.note(
-                Topic::Clock,
-                "no GPS receiver is connected: times are of this host's clock",
-                "",
-            ),
-            (Pps::Synchronizing, _) => self.note(
-                Topic::Clock,
-                "the pulse per second is there, and its clock does not follow it yet",
-                "wait a minute",
-            ),
-            (pps, _) => {
-                let what =
-                    format!("a GPS receiver is connected, and the pulse per second is {pps}");
-                let cure = "look at the wire of the pulse (PPS), its level and polarity; until then times are of this host's clock";
-                self.warning(Topic::Clock, what, cure);
-            }
+        if let Some(remark) = Remark::of_gps(self.sensor.model, position.pps, position.fix) {
+            self.remark(remark);
         }
     }
 }
