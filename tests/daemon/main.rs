@@ -11,3 +11,4 @@ mod losses;
 mod ports;
 mod record;
 mod rig;
+mod told;
