@@ -185,6 +185,8 @@ pub enum Remark {
         of: u64,
         /// The port, if known.
         port: Option<u16>,
+        /// Whether they are so many that the sensor counts as failed.
+        is_fault: bool,
     },
     /// What it says of pulse per second and GPS receiver.
     Gps {
@@ -207,8 +209,20 @@ impl Remark {
     }
 
     /// Whether it is about the same as another one, whatever its numbers.
-    pub fn is_like(&self, other: &Self) -> bool {
+    fn is_like(&self, other: &Self) -> bool {
         discriminant(self) == discriminant(other)
+    }
+
+    /// Whether it is told that something is wrong, and it was not told before.
+    pub fn is_new_beside(&self, before: &[Self]) -> bool {
+        self.is_trouble()
+            && !before
+                .iter()
+                .any(|one| one.is_like(self) && one.is_trouble())
+    }
+
+    fn is_trouble(&self) -> bool {
+        self.finding().is_some_and(|finding| finding.is_trouble())
     }
 
     /// What is told of it; `None` where that is as it should be.
@@ -237,7 +251,7 @@ impl Remark {
                 format!("{count} packets came twice"),
                 "look for a loop in the network, a port mirror of the switch, or two ways to this host".to_owned(),
             ),
-            Self::Dropped { dropped, of, port } => (
+            Self::Dropped { dropped, of, port, .. } => (
                 Topic::Loss,
                 format!(
                     "this host's kernel dropped {} of {} datagrams {}, because they were not fetched in time",
@@ -257,7 +271,11 @@ impl Remark {
                 self.of_one_that_changes()
             }
         };
-        Some(Finding::new(Severity::Warning, topic, what, cure))
+        let severity = match self {
+            Self::Dropped { is_fault: true, .. } => Severity::Error,
+            _ => Severity::Warning,
+        };
+        Some(Finding::new(severity, topic, what, cure))
     }
 
     /// What is wrong with the calibration, and the cure.
@@ -290,12 +308,9 @@ impl Remark {
     /// How often it changed, and the cure.
     fn of_one_that_changes(&self) -> (Topic, String, String) {
         let often = |times: usize, within: Duration| {
-            let seconds = within.as_secs();
-            format!(
-                "{} in {}",
-                count_of(times as u64, "time"),
-                count_of(seconds, "second")
-            )
+            let minutes = within.as_secs() / 60;
+            let times = count_of(times as u64, "time");
+            format!("{times} in the last {}", count_of(minutes, "minute"))
         };
         let (topic, what, cure) = match *self {
             Self::Restarts { times, within } => (

@@ -5,6 +5,7 @@ mod objects;
 mod table;
 
 use std::io;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -17,6 +18,8 @@ use super::signals::end_flag;
 use super::{CliError, complain};
 use crate::daemon::losses::{Limits, Losses, SensorAddress, Tally, Turn};
 use crate::daemon::state::PATIENCE;
+use crate::doctor::health;
+use crate::doctor::plan::HEALTH;
 use crate::suggest::nearest;
 use sweepd_client::client::{Client, Domain, SweepRef};
 use sweepd_client::host::{monotonic_ns, realtime_ns};
@@ -25,6 +28,9 @@ use sweepd_core::sweep::{Header, Pose};
 
 /// Interval of the check for a signal.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
+
+/// A sweep that was complete for longer when it came is from before a silence, nanoseconds.
+const STALE_NS: i64 = 2_000_000_000;
 
 /// Options of `sweepd watch`.
 #[derive(Debug, clap::Args)]
@@ -195,10 +201,21 @@ impl Watch<'_> {
         {
             complain("note", note);
         }
-        self.latencies.add(header, latency_us);
+        let is_stale = self.seen == 1 && completed_ns > STALE_NS;
+        if is_stale {
+            // What is shared last stays there.
+            let seconds = completed_ns as f64 * 1e-9;
+            let name = &self.name;
+            let note = format_args!(
+                "{name}: its newest sweep is {seconds:.1} s old: the sensor does not send, or the daemon has ended"
+            );
+            complain("note", note);
+        } else {
+            self.latencies.add(header, latency_us);
+        }
         let now = Duration::from_nanos(receipt.monotonic_ns.unsigned_abs());
         self.note_losses(header, now);
-        if let Some(table) = &mut self.table {
+        if let Some(table) = self.table.as_mut().filter(|_| !is_stale) {
             table.add(&sweep, latency_us, &self.client);
         }
         let Some(model) = Model::from_code(header.model) else {
@@ -244,12 +261,18 @@ impl Watch<'_> {
     fn nothing(&self, waited: Duration) -> String {
         let name = &self.name;
         let seconds = waited.as_secs_f64();
+        if let Some(said) = self.said() {
+            return format!("{name}: no sweep for {seconds:.1} s; the daemon says: {said}");
+        }
         match (self.client.is_connected(), self.client.is_published()) {
             (true, true) => {
                 format!(
                     "{name}: no sweep for {seconds:.1} s, though it is published: does the sensor send?"
                 )
             }
+            (true, false) if self.seen == 0 => format!(
+                "{name}: no sweep yet for {seconds:.1} s: does the daemon run, and does the sensor send? `sweepd doctor` looks"
+            ),
             (true, false) => format!(
                 "{name}: not published any more for {seconds:.1} s: was the daemon stopped?"
             ),
@@ -258,6 +281,23 @@ impl Watch<'_> {
                 self.published()
             ),
         }
+    }
+
+    /// What the daemon of these sweeps says of the sensor, if it is asked where it usually answers.
+    fn said(&self) -> Option<String> {
+        let health = health::ask(HEALTH).ok()?;
+        let root = self.args.root.domain();
+        if health["root"].as_str().map(Path::new) != Some(root.root()) {
+            return None;
+        }
+        let mut sensors = health["sensors"].as_array()?.iter();
+        let sensor = sensors.find(|one| one["name"].as_str() == Some(&self.name))?;
+        let state = sensor["state"].as_str()?;
+        let said = match sensor["reason"].as_str() {
+            Some(reason) => format!("{state}: {reason}"),
+            None => state.to_owned(),
+        };
+        Some(said.chars().filter(|one| !one.is_control()).collect())
     }
 
     /// The sensors that are published, or why none is.

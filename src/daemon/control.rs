@@ -28,8 +28,9 @@ use super::record::{Recordings, socket_path};
 use super::runtime::{DaemonError, PortStatus, Runtime, SensorStatus};
 use super::sensor::Event;
 use super::sharing::Sharing;
-use super::state::{Condition, Message, Observation, Running, Watcher};
+use super::state::{Condition, Facts, Message, Observation, Running, Watcher};
 use crate::cure::{Dialect, explain};
+use crate::judge::{Finding, Remark};
 use sweepd_core::pipeline::{DarkBeam, Notice};
 
 /// How long the configuration may be read at a reload: each of its files has a limit of its own, but
@@ -209,6 +210,8 @@ struct Control {
     renewed: Vec<u64>,
     /// Ports for which it was logged that position packets reach no sensor.
     ambiguous: Vec<usize>,
+    /// Why the configuration on disk is not the one in use.
+    refused: Option<Finding>,
     notifier: Notifier,
     view: Arc<Mutex<View>>,
 }
@@ -265,6 +268,7 @@ impl Control {
             gone: Vec::new(),
             renewed,
             ambiguous: Vec::new(),
+            refused: None,
             notifier,
             view,
         }
@@ -417,24 +421,17 @@ impl Control {
                     watcher.unhindered();
                     info!("{name}: calibrated by its own packets, the first {packets} of them");
                 }
-                Event::Notice(Notice::MistakenUnit { found_m, used_m }) => warn!(
-                    "{name}: its calibration file says that a unit of distance is {} mm: {} mm is used, as the sensor has it",
-                    found_m * 1e3,
-                    used_m * 1e3
-                ),
-                Event::Notice(Notice::OtherCalibration { .. })
-                    if self.config.sensors[index].pipeline.calibration.is_none() =>
-                {
-                    warn!(
-                        "{name}: the calibration in its packets is no longer the one in use, as if another unit had taken its \
-                         place; a reload takes it"
-                    );
+                Event::Notice(Notice::MistakenUnit { found_m, used_m }) => {
+                    watcher.doubts_calibration(Remark::MistakenUnit { found_m, used_m });
                 }
-                Event::Notice(Notice::OtherCalibration { differences }) => warn!(
-                    "{name}: its calibration file is not that of this unit, it differs in {} values; compare them with \
-                     `sweepd calib`",
-                    differences.len()
-                ),
+                Event::Notice(Notice::OtherCalibration { differences }) => {
+                    let is_given = self.config.sensors[index].pipeline.calibration.is_some();
+                    let values = differences.len();
+                    watcher.doubts_calibration(match is_given {
+                        true => Remark::OtherCalibration { values },
+                        false => Remark::ExchangedUnit,
+                    });
+                }
                 Event::Notice(other) => warn!("{name}: {other:?}"),
                 Event::Reconfigured(Ok(())) => {
                     watcher.reconfigured();
@@ -470,7 +467,12 @@ impl Control {
         self.view
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
-            .update(conditions, hanging, self.recordings.status());
+            .update(
+                conditions,
+                hanging,
+                self.refused.clone(),
+                self.recordings.status(),
+            );
     }
 
     fn port(&self, index: usize) -> &str {
@@ -509,13 +511,16 @@ impl Control {
                 needs_restart,
             }) => {
                 info!("the configuration was read");
+                self.refused = None;
                 config.warnings.iter().for_each(|what| warn!("{what}"));
                 taken.iter().for_each(|what| info!("{what}"));
                 self.apply(config);
                 needs_restart.iter().for_each(|what| warn!("{what}"));
             }
             Err(why) => {
-                warn!("the configuration is not taken, everything goes on as before: {why}")
+                let refused = health::reload_refused(&why);
+                warn!("{refused}");
+                self.refused = Some(refused);
             }
         }
         self.notifier.ready();
@@ -598,6 +603,7 @@ fn tally(sensor: &SensorStatus, runtime: &Runtime) -> Tally {
         .sum();
     Tally {
         dropped: port.dropped.get(),
+        received: port.received.get(),
         strangers: port.all_refused().saturating_sub(own),
         ..sensor.counters.tally()
     }
@@ -623,5 +629,12 @@ fn observation(counters: &SensorCounters, now: Duration) -> Observation {
         steady_sweeps,
         running,
         tally: Tally::default(),
+        facts: Facts {
+            other_product: counters.other_product(),
+            restarts: counters.restarts.get(),
+            clock_jumps: counters.clock_jumps.get(),
+            pulse: counters.pulse(),
+            is_view_limited: counters.is_view_limited(),
+        },
     }
 }

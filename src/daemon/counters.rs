@@ -2,7 +2,9 @@
 //!
 //! A reader sees each number as of a moment ago; two numbers may be of different moments.
 
-use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, AtomicU32, AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::{
+    AtomicBool, AtomicI32, AtomicI64, AtomicU8, AtomicU32, AtomicU64, Ordering::Relaxed,
+};
 
 use super::losses::Tally;
 use crate::admission::Refusal;
@@ -11,7 +13,9 @@ use sweepd_core::pipeline::{Counts, DarkBeam};
 use sweepd_core::segment::MAX_ROWS;
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::Header;
+use sweepd_core::sweep::layout::{TimeSource, flags};
 use sweepd_core::wire::data::ReturnMode;
+use sweepd_core::wire::position::Pps;
 
 /// A number that only grows.
 #[derive(Debug, Default)]
@@ -191,6 +195,17 @@ pub struct SensorCounters {
     /// First degree in the upper half, last in the lower, and [`FOV_KNOWN`]; 0 is unknown.
     fov: AtomicU32,
     gps: AtomicU8,
+    /// Pulse per second, and the bits from [`PULSE_KNOWN`] on.
+    pulse: AtomicU32,
+    /// Nanoseconds that the host's clock is ahead of UTC by GPS; 0 where GPS does not vouch for it.
+    host_ahead_ns: AtomicI64,
+    /// The factory byte, and [`OTHER_BEAMS`] where it says other beams than the given model has.
+    product: AtomicU32,
+    /// Times that the sensor's clock began anew after a silence.
+    pub restarts: Counter,
+    /// Times that it jumped while packets came.
+    pub clock_jumps: Counter,
+    is_view_limited: AtomicBool,
     /// Degrees Celsius plus [`TEMPERATURE_BIAS`]; 0 means "not sent".
     temperature: AtomicI32,
     dark_beams: DarkBeamsByRow,
@@ -209,6 +224,13 @@ impl Default for DarkBeamsByRow {
 
 /// Set where the field of view is known: above the bits of both degrees.
 const FOV_KNOWN: u32 = 1 << 31;
+/// Set where pulse and receiver are known: above the byte of the pulse.
+const PULSE_KNOWN: u32 = 1 << 8;
+/// Set where there is a GPS receiver, and where that has a fix.
+const RECEIVER: u32 = 1 << 9;
+const FIX: u32 = 1 << 10;
+/// Set where the factory byte says other beams.
+const OTHER_BEAMS: u32 = 1 << 8;
 /// Added to a temperature, so that 0 can mean none.
 const TEMPERATURE_BIAS: i32 = 1_000;
 
@@ -254,7 +276,7 @@ impl SensorCounters {
 
     /// The counts that the rule for losses needs, without those of the port.
     pub fn tally(&self) -> Tally {
-        let [malformed, _, late, unconfirmed, other_product, _] =
+        let [malformed, duplicates, late, unconfirmed, other_product, _] =
             self.undecoded.each_ref().map(Counter::get);
         // A clock that is set back makes some packets late once; that is not a fault of a cable or
         // a second sensor.
@@ -270,6 +292,7 @@ impl SensorCounters {
             other_product,
             malformed,
             refused,
+            duplicates,
             ..Tally::default()
         }
     }
@@ -306,8 +329,58 @@ impl SensorCounters {
         &self.stages[stage as usize]
     }
 
+    /// Notes what the sensor says of pulse per second and GPS receiver: whether that has a fix, or
+    /// `None` without one.
+    pub fn set_pulse(&self, pps: Pps, fix: Option<bool>) {
+        let receiver = match fix {
+            None => 0,
+            Some(false) => RECEIVER,
+            Some(true) => RECEIVER | FIX,
+        };
+        let said = PULSE_KNOWN | u32::from(pps.byte()) | receiver;
+        self.pulse.store(said, Relaxed);
+    }
+
+    /// What the sensor says of pulse per second and GPS receiver, if it does.
+    pub fn pulse(&self) -> Option<(Pps, Option<bool>)> {
+        let said = self.pulse.load(Relaxed);
+        let fix = (said & RECEIVER != 0).then_some(said & FIX != 0);
+        (said != 0).then(|| (Pps::from_byte(said as u8), fix))
+    }
+
+    /// Notes the factory byte, and whether it says other beams than the given model has.
+    pub fn set_product(&self, product: u8, has_other_beams: bool) {
+        let other = if has_other_beams { OTHER_BEAMS } else { 0 };
+        self.product.store(u32::from(product) | other, Relaxed);
+    }
+
+    /// The factory byte, if it says other beams than the given model has.
+    pub fn other_product(&self) -> Option<u8> {
+        let said = self.product.load(Relaxed);
+        (said & OTHER_BEAMS != 0).then_some(said as u8)
+    }
+
+    /// How far the host's clock is ahead of UTC by GPS, seconds, where GPS vouches for it.
+    pub fn host_ahead_s(&self) -> Option<f64> {
+        let ahead_ns = self.host_ahead_ns.load(Relaxed);
+        (ahead_ns != 0).then_some(ahead_ns as f64 * 1e-9)
+    }
+
+    /// Whether the newest sweep shows that a part of each turn is not measured.
+    pub fn is_view_limited(&self) -> bool {
+        self.is_view_limited.load(Relaxed)
+    }
+
     /// Notes the state of the sensor from the newest sweep.
     pub fn set_sensor(&self, header: &Header) {
+        let end_ns = header.time_ns.saturating_add(header.duration_ns as i64);
+        let ahead_ns = match header.time_source() {
+            TimeSource::Gps => header.arrival_ns.saturating_sub(end_ns),
+            _ => 0,
+        };
+        self.host_ahead_ns.store(ahead_ns, Relaxed);
+        self.is_view_limited
+            .store(header.has(flags::BLANKED), Relaxed);
         self.model.store(header.model, Relaxed);
         self.return_mode.store(header.return_mode().byte(), Relaxed);
         self.rpm.store(header.rpm.to_bits(), Relaxed);

@@ -12,6 +12,7 @@ use super::losses::Recent;
 use super::record::RecordingsStatus;
 use super::runtime::{PortStatus, SensorStatus};
 use super::state::{Condition, State};
+use crate::judge::{Finding, Remark, Severity, Topic};
 use sweepd_core::wire::data::ReturnMode;
 
 /// State of the daemon at a moment.
@@ -22,6 +23,8 @@ pub struct View {
     pub(super) conditions: Vec<Condition>,
     /// Ports whose threads hang.
     hanging: Vec<String>,
+    /// Why the configuration on disk is not the one in use.
+    refused: Option<Finding>,
     pub(super) recordings: RecordingsStatus,
     /// The missing resource that the start waits for.
     waits_for: Option<String>,
@@ -38,6 +41,7 @@ impl View {
             state: State::Waiting,
             complaint,
             is_fault: true,
+            findings: Vec::new(),
             recent: None,
             losses: None,
             floor: Default::default(),
@@ -48,6 +52,7 @@ impl View {
             ports,
             conditions,
             hanging: Vec::new(),
+            refused: None,
             recordings: RecordingsStatus::default(),
             waits_for: None,
             root,
@@ -63,22 +68,26 @@ impl View {
         }
     }
 
-    /// Updates the conditions of the sensors, the names of ports whose threads hang, and the state
-    /// of the recordings.
+    /// Updates the conditions of the sensors, the names of ports whose threads hang, why a reload was
+    /// refused, and the state of the recordings.
     pub fn update(
         &mut self,
         conditions: Vec<Condition>,
         hanging: Vec<String>,
+        refused: Option<Finding>,
         recordings: RecordingsStatus,
     ) {
+        self.refused = refused;
         self.conditions = conditions;
         self.hanging = hanging;
         self.recordings = recordings;
     }
 
-    /// Warnings of sensors that stream but are not well; these are not faults.
+    /// What is not well and no fault.
     fn warnings(&self) -> Vec<String> {
-        self.sensor_reasons(false)
+        let mut warnings = self.sensor_reasons(false);
+        warnings.extend(self.refused.as_ref().map(Finding::to_string));
+        warnings
     }
 
     fn sensor_reasons(&self, is_fault: bool) -> Vec<String> {
@@ -98,8 +107,14 @@ impl View {
 
     /// The faults; empty if there are none.
     fn faults(&self) -> Vec<String> {
+        let mut faults = self.sensor_reasons(true);
+        faults.extend(self.other_faults());
+        faults
+    }
+
+    /// Those that are not of what a sensor sends.
+    fn other_faults(&self) -> Vec<String> {
         let mut faults: Vec<String> = self.waits_for.iter().cloned().collect();
-        faults.extend(self.sensor_reasons(true));
         for sensor in self.sensors.iter() {
             if let Some(why) = sensor.sharing.trouble() {
                 faults.push(format!("{}: sweeps are not shared: {why}", sensor.name));
@@ -118,6 +133,22 @@ impl View {
             faults.push(format!("nothing is recorded: {why}"));
         }
         faults
+    }
+
+    /// All that is wrong and worth knowing, with cures: of each sensor under its name.
+    fn findings(&self) -> Vec<Finding> {
+        let mut findings = Vec::new();
+        for (sensor, condition) in self.sensors.iter().zip(&self.conditions) {
+            let ahead = sensor.counters.host_ahead_s().map(Remark::HostClock);
+            let ahead = ahead.and_then(|ahead| ahead.finding());
+            let all = condition.findings.iter().cloned().chain(ahead);
+            findings.extend(all.map(|finding| finding.of(&sensor.name)));
+        }
+        for fault in self.other_faults() {
+            findings.push(Finding::new(Severity::Error, Topic::Daemon, fault, ""));
+        }
+        findings.extend(self.refused.clone());
+        findings
     }
 
     /// The state as JSON, and whether there is no fault.
@@ -145,6 +176,7 @@ impl View {
         let report = json!({
             "status": status,
             "reasons": reasons,
+            "findings": self.findings(),
             "pid": std::process::id(),
             "version": crate::VERSION,
             "uptime_s": self.begun.elapsed().as_secs(),
@@ -158,6 +190,13 @@ impl View {
         });
         (is_well, report)
     }
+}
+
+/// What is told of a configuration on disk that is not taken.
+pub(super) fn reload_refused(why: &str) -> Finding {
+    let what = format!("the configuration is not taken, everything goes on as before: {why}");
+    let cure = "mend it, and reload again; `sweepd config check` tells whether it is right";
+    Finding::new(Severity::Warning, Topic::Daemon, what, cure)
 }
 
 /// The message for a port whose interface is gone.

@@ -72,6 +72,11 @@ pub struct Tally {
     pub malformed: u64,
     /// Datagrams from the sensor's address to its data port that are not packets of a sensor.
     pub refused: u64,
+    /// Data packets that came twice; their first copy is in a sweep.
+    pub duplicates: u64,
+    /// Datagrams of any kind that came to the port.
+    #[serde(rename = "received_on_port")]
+    pub received: u64,
     /// Datagrams that the kernel dropped on the port, of any sender.
     #[serde(rename = "dropped_on_port")]
     pub dropped: u64,
@@ -91,6 +96,8 @@ impl Tally {
             other_product: self.other_product.saturating_sub(earlier.other_product),
             malformed: self.malformed.saturating_sub(earlier.malformed),
             refused: self.refused.saturating_sub(earlier.refused),
+            duplicates: self.duplicates.saturating_sub(earlier.duplicates),
+            received: self.received.saturating_sub(earlier.received),
             dropped: self.dropped.saturating_sub(earlier.dropped),
             strangers: self.strangers.saturating_sub(earlier.strangers),
         }
@@ -205,6 +212,19 @@ impl Recent {
             .into_iter()
             .max_by_key(|&(packets, _)| packets)
             .map_or(Cause::Network, |(_, cause)| cause)
+    }
+
+    /// Datagrams that came to the port or were dropped there, of any sender.
+    pub fn sent_to_port(&self) -> u64 {
+        self.counted.received + self.counted.dropped
+    }
+
+    /// Share of those that the kernel dropped, 0 to 1; 0 if too few came.
+    pub fn dropped_share(&self) -> f64 {
+        match self.sent_to_port() {
+            ..LEAST_PACKETS => 0.0,
+            all => self.counted.dropped as f64 / all as f64,
+        }
     }
 
     /// A sentence with the share missing, the likely cause, and the cure.
@@ -370,6 +390,21 @@ impl Losses {
             span,
             counted: now.since(&before),
         })
+    }
+
+    /// How grave it is what the kernel drops on the port, unless the losses of the sensor are as
+    /// grave, and told with that cause. The stamps of a sensor do not always show what was dropped.
+    pub fn dropping(&self) -> Option<(Level, Recent)> {
+        let recent = self.recent()?;
+        let share = recent.dropped_share();
+        let level = match share {
+            _ if share >= self.limits.fault => Level::Fault,
+            _ if share >= self.limits.warning => Level::Warning,
+            _ => return None,
+        };
+        let is_told =
+            self.level >= Some(level) && matches!(recent.cause(), Cause::Host | Cause::Flood);
+        (!is_told).then_some((level, recent))
     }
 
     /// Starts again, because packets were decoded with another configuration before.

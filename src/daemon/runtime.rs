@@ -27,6 +27,7 @@ use crate::input::{UdpError, UdpSource};
 use sweepd_core::buffers::Buffers;
 use sweepd_core::pipeline;
 use sweepd_core::segment::ConfigError;
+use sweepd_core::sensor::Model;
 use sweepd_core::wire::Packet;
 
 /// Time limit for the threads to end; hanging ones end with the process. They take some
@@ -424,7 +425,13 @@ impl PortStatus {
         let local = source.local_addr();
         let buffer = source.buffer();
         let name = PortName(&plan.config, local.port()).to_string();
-        if let Some(warning) = buffer.warning(local.port()) {
+        let sensors = plan.sensors.iter();
+        let models: Vec<Option<Model>> = sensors
+            .map(|&index| config.sensors[index].pipeline.model)
+            .collect();
+        // Position packets are few.
+        let warning = buffer.warning_for(local.port(), &models);
+        if let Some(warning) = warning.filter(|_| !models.is_empty()) {
             warn!("{warning}");
         }
         info!("listening on port {name}");

@@ -15,6 +15,7 @@ use sweepd_core::buffers::{Buffers, Memory};
 use sweepd_core::floor::{FloorFinder, Sight};
 use sweepd_core::pipeline::{self, Arrival, Counts, Fault, Notice, Options, Pipeline};
 use sweepd_core::segment::{ConfigError, Mount};
+use sweepd_core::sensor::detect;
 use sweepd_core::sensor::unit::Unit;
 use sweepd_core::sweep::layout::{Completion, TimeSource, flags};
 use sweepd_core::sweep::objects::{self, Sending, flags as objects_flags};
@@ -173,6 +174,10 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         self.pipeline.push(packet);
         if let Content::Position(position, rmc) = &packet.content {
             let without_pps = self.config.gps_without_pps;
+            // From another port it comes without the text of its sentence.
+            let fix = rmc.as_ref().map(|rmc| rmc.valid);
+            let fix = fix.or(position.nmea.map(|_| false));
+            self.counters.set_pulse(position.pps, fix);
             let gps = gps_of(position, rmc.as_ref(), without_pps);
             self.counters.set_gps(self.believed(gps));
             if let Some(temperature_c) = temperature_of(position) {
@@ -229,6 +234,14 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         let mut counts = self.counted;
         counts += status.counts;
         self.counters.set(&counts);
+        let breaks = status.clock_breaks;
+        self.counters.restarts.set(breaks.restarts);
+        self.counters.clock_jumps.set(breaks.jumps);
+        if let Some(product) = status.product {
+            let given = self.config.model;
+            let is_other = given.is_some_and(|given| detect::has_other_beams(given, product));
+            self.counters.set_product(product, is_other);
+        }
         if let Some(unit) = status.unit {
             unit.temperature_c()
                 .into_iter()

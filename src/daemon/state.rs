@@ -1,19 +1,22 @@
 //! State of a sensor: derives it from counts, and a message from each change. Pure: time is an
 //! input.
 
+use std::collections::VecDeque;
 use std::fmt;
 use std::time::Duration;
 
 use super::losses::{Level, Limits, Losses, Recent, SensorAddress, Tally, Turn};
+use crate::judge::{Finding, Remark, Severity, Topic};
 use crate::sensor_settings::{FieldOfView, Settings};
 use crate::{beams, floor, gps};
 use sweepd_core::assemble::GpsDoubt;
 use sweepd_core::floor::Sight;
 use sweepd_core::pipeline::DarkBeam;
 use sweepd_core::segment::Mount;
-use sweepd_core::sensor::Model;
+use sweepd_core::sensor::{Model, detect};
 use sweepd_core::sweep::layout::TimeSource;
 use sweepd_core::wire::data::ReturnMode;
+use sweepd_core::wire::position::Pps;
 
 /// A sensor no longer streams after this time without packets, or without a steady sweep while
 /// packets come.
@@ -21,6 +24,13 @@ pub const PATIENCE: Duration = Duration::from_secs(2);
 /// Greatest deviation from the configured speed without a message, as a share of it; the message is
 /// withdrawn within half of that.
 const RPM_TOLERANCE: f32 = 0.05;
+
+/// How long restarts, jumps of the clock and changes of the model are remembered.
+const RECENTLY: Duration = Duration::from_secs(600);
+/// Most of each that are remembered.
+const REMEMBERED: usize = 100;
+/// Packets that come twice are told from this share of the recent ones on.
+const MANY_DUPLICATES: f64 = 0.01;
 
 /// How a sensor is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -92,6 +102,48 @@ pub struct Observation {
     pub running: Option<Running>,
     /// Counts of its packets so far.
     pub tally: Tally,
+    /// What else its packets told.
+    pub facts: Facts,
+}
+
+/// What the packets of a sensor tell of it, beside its sweeps.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Facts {
+    /// The factory byte, if it says other beams than the given model has.
+    pub other_product: Option<u8>,
+    /// Times that its clock began anew after a silence.
+    pub restarts: u64,
+    /// Times that its clock jumped while packets came.
+    pub clock_jumps: u64,
+    /// The pulse per second, and whether the GPS receiver has a fix, if there is one.
+    pub pulse: Option<(Pps, Option<bool>)>,
+    /// Whether it leaves out a part of each turn.
+    pub is_view_limited: bool,
+}
+
+/// How often something happened over the last [`RECENTLY`].
+#[derive(Clone, Debug, Default)]
+struct Recurrence {
+    count: u64,
+    /// When, the oldest first; no more than [`REMEMBERED`].
+    times: VecDeque<Duration>,
+}
+
+impl Recurrence {
+    /// Takes the count so far, and gives how often it grew lately, if that is more than once.
+    fn observe(&mut self, now: Duration, count: u64) -> Option<usize> {
+        // Another sensor is counted anew.
+        let more = count.saturating_sub(std::mem::replace(&mut self.count, count));
+        for _ in 0..more.min(REMEMBERED as u64) {
+            self.times.push_back(now);
+        }
+        while self.times.len() > REMEMBERED
+            || (self.times.front()).is_some_and(|&first| now - first > RECENTLY)
+        {
+            self.times.pop_front();
+        }
+        Some(self.times.len()).filter(|&times| times > 1)
+    }
 }
 
 /// State of the sensor from a sweep.
@@ -144,6 +196,8 @@ pub struct Condition {
     /// Whether it counts as failed: it does not stream, or loses more than [`Limits::fault`]
     /// allows.
     pub is_fault: bool,
+    /// What is wrong with it and what else is worth knowing, with cures, its state first.
+    pub findings: Vec<Finding>,
     /// Counts over the last seconds, while packets come.
     pub recent: Option<Recent>,
     /// The same in words, if packets are missing: share and cause, and the cure.
@@ -178,6 +232,15 @@ pub struct Watcher {
     floor: (Sight, Mount),
     /// The clock of its sweeps, and what is doubtful about GPS time.
     time: (TimeSource, Option<GpsDoubt>),
+    /// What its packets tell beside its sweeps.
+    remarks: Vec<Remark>,
+    /// What is wrong with its calibration.
+    calibration: Option<Remark>,
+    restarts: Recurrence,
+    clock_jumps: Recurrence,
+    exchanges: Recurrence,
+    /// The model of the newest sweep at the observation before.
+    told_model: Option<Model>,
     /// Model and mode as last logged.
     told: Option<(Model, ReturnMode)>,
 }
@@ -208,6 +271,12 @@ impl Watcher {
             dark: Vec::new(),
             floor: Default::default(),
             time: (TimeSource::Host, None),
+            remarks: Vec::new(),
+            calibration: None,
+            restarts: Recurrence::default(),
+            clock_jumps: Recurrence::default(),
+            exchanges: Recurrence::default(),
+            told_model: None,
             told: None,
         }
     }
@@ -228,7 +297,7 @@ impl Watcher {
         let complaint = self.complaint();
         let recent = self.losses.recent();
         let is_fault = match state {
-            State::Streaming | State::Losing => self.is_off_speed,
+            State::Streaming | State::Losing => self.is_off_speed || self.drops_many(),
             _ => true,
         };
         let losses = recent
@@ -238,6 +307,7 @@ impl Watcher {
             state,
             complaint,
             is_fault,
+            findings: self.findings(),
             recent,
             losses,
             floor: self.floor,
@@ -254,6 +324,7 @@ impl Watcher {
         self.hindrance = None;
         self.losses.begin_anew();
         self.floor = Default::default();
+        self.calibration = None;
     }
 
     /// Other settings are wanted from now on.
@@ -264,32 +335,161 @@ impl Watcher {
 
     /// Why the sensor is not well; `None` where it is.
     pub fn complaint(&self) -> Option<String> {
-        match (self.state(), &self.hindrance) {
-            (State::Streaming | State::Losing | State::LosingMany, _) => self.shortcomings(),
-            (State::Waiting | State::Stalled, _) => Some(self.silence()),
-            (State::WrongModel, Some(Hindrance::WrongModel(why))) => Some(why.clone()),
-            (State::NoCalibration, _) => Some(NO_CALIBRATION.to_owned()),
-            (State::SpinningUp | State::WrongModel, _) => Some(NO_SWEEP.to_owned()),
+        let mut all = Vec::new();
+        for finding in self.findings().iter().filter(|one| one.is_trouble()) {
+            all.push(match finding.topic {
+                // What is to be cleaned is told by the beams.
+                Topic::Lasers => finding.what.clone(),
+                _ => finding.to_string(),
+            });
         }
+        (!all.is_empty()).then(|| all.join("; "))
     }
 
-    /// What is not as it should be while packets come; `None` if nothing.
-    fn shortcomings(&self) -> Option<String> {
+    /// What is wrong with it and what else is worth knowing, its state first.
+    fn findings(&self) -> Vec<Finding> {
+        let mut all = match (self.state(), &self.hindrance) {
+            (State::Streaming | State::Losing | State::LosingMany, _) => self.shortcomings(),
+            (State::Waiting | State::Stalled, _) => vec![self.silence()],
+            (State::WrongModel, Some(Hindrance::WrongModel(why))) => {
+                vec![Finding::new(Severity::Error, Topic::Model, why, "")]
+            }
+            (State::NoCalibration, _) => vec![no_calibration()],
+            (State::SpinningUp | State::WrongModel, _) => vec![no_sweep()],
+        };
+        all.extend(self.remarks.iter().filter_map(Remark::finding));
+        all
+    }
+
+    /// What is not as it should be while packets come.
+    fn shortcomings(&self) -> Vec<Finding> {
         let mut all = Vec::new();
-        let loses = matches!(self.state(), State::Losing | State::LosingMany);
-        if let Some(recent) = self.losses.recent().filter(|_| loses) {
-            all.push(recent.sentence(&self.place));
+        let loses = match self.state() {
+            State::Losing => Some(Severity::Warning),
+            State::LosingMany => Some(Severity::Error),
+            _ => None,
+        };
+        if let Some((severity, recent)) = loses.zip(self.losses.recent()) {
+            let what = recent.what(&self.place);
+            all.push(Finding::new(
+                severity,
+                Topic::Loss,
+                what,
+                recent.cure(&self.place),
+            ));
         }
         if self.is_off_speed {
-            let it = if loses { "it " } else { "" };
-            all.push(format!("{it}{}", self.off_speed()));
+            let it = if loses.is_some() { "it " } else { "" };
+            let what = format!("{it}{}", self.off_speed());
+            all.push(Finding::new(
+                Severity::Error,
+                Topic::Speed,
+                what,
+                CHANGE_ONE,
+            ));
         }
         if !self.unlike.is_empty() {
-            all.push(format!("{}: change one of the two", self.unlike()));
+            let what = self.unlike();
+            all.push(Finding::new(
+                Severity::Warning,
+                Topic::Settings,
+                what,
+                CHANGE_ONE,
+            ));
         }
-        all.extend(beams::sentence(&self.dark));
-        all.extend(self.time.1.as_ref().map(gps::explain));
-        (!all.is_empty()).then(|| all.join("; "))
+        if let Some(what) = beams::sentence(&self.dark) {
+            all.push(Finding::new(
+                Severity::Warning,
+                Topic::Lasers,
+                what,
+                beams::CURE,
+            ));
+        }
+        if let Some(doubt) = &self.time.1 {
+            let what = gps::sentence(doubt);
+            all.push(Finding::new(
+                Severity::Warning,
+                Topic::Clock,
+                what,
+                gps::cure(doubt),
+            ));
+        }
+        all
+    }
+
+    /// Whether the kernel drops more datagrams than the second limit allows, though the sensor's own
+    /// packets do not show it.
+    fn drops_many(&self) -> bool {
+        (self.losses.dropping()).is_some_and(|(level, _)| level == Level::Fault)
+    }
+
+    /// The calibration in use is not right. It is told until the sensor is decoded anew.
+    pub fn doubts_calibration(&mut self, remark: Remark) {
+        self.calibration = Some(remark);
+    }
+
+    /// Takes what the packets tell beside sweeps, and gives a message for each that is new or over.
+    fn remark(&mut self, now: &Observation) -> Vec<Message> {
+        let remarks = self.remarks_of(now);
+        let before = std::mem::replace(&mut self.remarks, remarks);
+        let mut messages = Vec::new();
+        for remark in self.remarks.iter().filter(|one| one.is_new_beside(&before)) {
+            let finding = remark.finding();
+            messages.extend(finding.map(|finding| self.message(true, &finding.to_string())));
+        }
+        for remark in before.iter().filter(|one| one.is_new_beside(&self.remarks)) {
+            let finding = remark.finding();
+            let over = finding.map(|finding| format!("this is over: {}", finding.what));
+            messages.extend(over.map(|over| self.message(false, &over)));
+        }
+        messages
+    }
+
+    fn remarks_of(&mut self, now: &Observation) -> Vec<Remark> {
+        let facts = &now.facts;
+        let within = RECENTLY;
+        let exchanged = self.exchanges.count + self.is_exchanged(now);
+        let restarts = self.restarts.observe(now.now, facts.restarts);
+        let clock_jumps = self.clock_jumps.observe(now.now, facts.clock_jumps);
+        let exchanges = self.exchanges.observe(now.now, exchanged);
+        let mut remarks = Vec::new();
+        remarks.extend(restarts.map(|times| Remark::Restarts { times, within }));
+        remarks.extend(exchanges.map(|times| Remark::Exchanges { times, within }));
+        if matches!(self.state, State::Waiting | State::Stalled) {
+            return remarks;
+        }
+        remarks.extend(clock_jumps.map(|times| Remark::ClockJumps { times, within }));
+        remarks.extend(self.calibration);
+        let model = now.running.map(|running| running.model);
+        if let Some((given, product)) = model.zip(facts.other_product) {
+            let said = detect::model_of(product);
+            remarks.push(Remark::OtherBeams { given, said });
+        }
+        if let Some((level, recent)) = self.losses.dropping() {
+            remarks.push(Remark::Dropped {
+                is_fault: level == Level::Fault,
+                dropped: recent.counted.dropped,
+                of: recent.sent_to_port(),
+                port: self.place.port,
+            });
+        }
+        if let Some(Recent { counted, .. }) = self.losses.recent()
+            && counted.duplicates as f64 >= MANY_DUPLICATES * counted.data as f64
+        {
+            remarks.push(Remark::Duplicates(counted.duplicates));
+        }
+        let gps = (facts.pulse).and_then(|(pps, fix)| Remark::of_gps(model, pps, fix));
+        remarks.extend(gps);
+        if facts.is_view_limited && self.want.fov.is_none() {
+            remarks.push(Remark::LimitedView);
+        }
+        remarks
+    }
+
+    /// 1 where sweeps are of another model than those before, else 0.
+    fn is_exchanged(&self, now: &Observation) -> u64 {
+        let told = self.told_model.zip(now.running);
+        u64::from(told.is_some_and(|(told, running)| told != running.model))
     }
 
     /// The pipeline reports why it decodes nothing. The message for the log comes with the next
@@ -334,13 +534,15 @@ impl Watcher {
             && now.now - self.newest_data >= PATIENCE
         {
             self.has_hinted = true;
-            messages.push(self.message(true, &self.silence()));
+            messages.push(self.message(true, &self.silence().to_string()));
         }
         if let Some(running) = running {
             messages.extend(self.watch_speed(running.rpm));
             messages.extend(self.watch_settings(&running));
         }
         messages.extend(self.observe_losses(now));
+        messages.extend(self.remark(now));
+        self.told_model = now.running.map(|running| running.model).or(self.told_model);
         messages
     }
 
@@ -424,9 +626,10 @@ impl Watcher {
 
     fn transition(&self, was: State, running: Option<Running>) -> Message {
         match self.state {
-            State::Waiting => self.message(true, &self.silence()),
-            State::Stalled => self.message(true, &self.silence()),
-            State::SpinningUp if was == State::Streaming => self.message(true, NO_SWEEP),
+            State::Waiting | State::Stalled => self.message(true, &self.silence().to_string()),
+            State::SpinningUp if was == State::Streaming => {
+                self.message(true, &no_sweep().to_string())
+            }
             State::SpinningUp => {
                 let text = format!(
                     "packets arrive from {}, waiting for its first whole turn",
@@ -438,8 +641,11 @@ impl Watcher {
                 Some(running) => self.message(false, &format!("streaming, {running}")),
                 None => self.message(false, "streaming"),
             },
-            State::WrongModel => self.message(true, &self.complaint().unwrap_or_default()),
-            State::NoCalibration => self.message(false, NO_CALIBRATION),
+            State::WrongModel => {
+                let why = self.findings().first().map(Finding::to_string);
+                self.message(true, &why.unwrap_or_default())
+            }
+            State::NoCalibration => self.message(false, &no_calibration().to_string()),
         }
     }
 
@@ -454,7 +660,10 @@ impl Watcher {
             };
         let was_off = std::mem::replace(&mut self.is_off_speed, is_off);
         match (was_off, is_off) {
-            (false, true) => Some(self.message(true, &self.off_speed())),
+            (false, true) => {
+                let text = format!("{}: {CHANGE_ONE}", self.off_speed());
+                Some(self.message(true, &text))
+            }
             (true, false) => Some(self.message(
                 false,
                 &format!("turns at {rpm:.0} rpm again, as it is set to"),
@@ -500,20 +709,26 @@ impl Watcher {
     fn off_speed(&self) -> String {
         let rpm = self.before.running.map_or(0.0, |running| running.rpm);
         let set = self.want.rpm.map_or(0, |rpm| rpm.0);
-        format!("turns at {rpm:.0} rpm, [sensor.want] says {set}: change one of the two")
+        format!("turns at {rpm:.0} rpm, [sensor.want] says {set}")
     }
 
-    fn silence(&self) -> String {
+    /// Why nothing is there to decode, and the cure.
+    fn silence(&self) -> Finding {
         let address = &self.place.address;
         let port = self.place.port.unwrap_or_default();
         if self.before.position > 0 && self.before.data == 0 {
-            return format!(
-                "only position packets from {address}, no data on port {port}: does it send its data to another port?"
-            );
+            let what = format!("only position packets from {address}, no data on port {port}");
+            let cure = "does it send its data to another port?";
+            return Finding::new(Severity::Error, Topic::PositionOnly, what, cure);
         }
         let seconds = PATIENCE.as_secs();
-        let powered = "is it powered, and is this host its destination?";
-        format!("no packets from {address} on port {port} for {seconds} s: {powered}")
+        let mut what = format!("no packets from {address} on port {port} for {seconds} s");
+        let mut cure = "is it powered, and is this host its destination?";
+        if self.before.data > 0 {
+            what += ", though they came before";
+            cure = "has it lost its power or its cable, or was its destination changed?";
+        }
+        Finding::new(Severity::Error, Topic::Silent, what, cure)
     }
 
     fn message(&self, is_warning: bool, text: &str) -> Message {
@@ -524,12 +739,21 @@ impl Watcher {
     }
 }
 
-const NO_CALIBRATION: &str =
-    "an HDL-64E without a calibration file: waiting for the calibration in its packets, about 2 s";
+const CHANGE_ONE: &str = "change one of the two";
 const BEAMS_ARE_BACK: &str =
     "the beams that had not returned return again, or their counts were reset";
-const NO_SWEEP: &str =
-    "packets come and no whole turn at a steady speed: does its head turn, and is its motor set?";
+
+fn no_calibration() -> Finding {
+    let what = "an HDL-64E without a calibration file";
+    let cure = "waiting for the calibration in its packets, about 2 s";
+    Finding::new(Severity::Error, Topic::Calibration, what, cure)
+}
+
+fn no_sweep() -> Finding {
+    let what = "packets come and no whole turn at a steady speed";
+    let cure = "does its head turn, and is its motor set?";
+    Finding::new(Severity::Error, Topic::Speed, what, cure)
+}
 
 #[cfg(test)]
 mod tests {
@@ -610,7 +834,9 @@ mod tests {
         );
         // The last turn is not complete.
         assert_eq!(roof.observe(1, 37, 0), [""; 0]);
-        assert_eq!(roof.observe(50, 0, 0), [silence]);
+        let stalled = "roof: no packets from 192.168.1.201 on port 2368 for 2 s, though they came before: has it lost its power or \
+                       its cable, or was its destination changed?";
+        assert_eq!(roof.observe(50, 0, 0), [stalled]);
         assert_eq!(roof.watcher.state(), State::Stalled);
         assert_eq!(roof.observe(5, 75, 0), [spinning]);
         assert_eq!(roof.observe(5, 75, 1), [streaming]);
@@ -622,7 +848,7 @@ mod tests {
         roof.observe(10, 75, 1);
         assert_eq!(roof.observe(15, 75, 0), [""; 0]);
         assert_eq!(roof.observe(1, 75, 1), [""; 0]);
-        assert_eq!(roof.observe(40, 75, 0), [format!("roof: {NO_SWEEP}")]);
+        assert_eq!(roof.observe(40, 75, 0), [format!("roof: {}", no_sweep())]);
         assert_eq!(roof.watcher.state(), State::SpinningUp);
     }
 
@@ -651,7 +877,10 @@ mod tests {
     fn the_calibration_is_awaited_and_then_it_streams() {
         let mut roof = Watched::new(None);
         roof.watcher.awaits_calibration();
-        assert_eq!(roof.observe(5, 300, 0), [format!("roof: {NO_CALIBRATION}")]);
+        assert_eq!(
+            roof.observe(5, 300, 0),
+            [format!("roof: {}", no_calibration())]
+        );
         assert_eq!(roof.watcher.state(), State::NoCalibration);
         roof.watcher.unhindered();
         assert_eq!(roof.observe(5, 300, 0).len(), 1);
@@ -947,6 +1176,67 @@ mod tests {
         );
         assert_eq!(roof.watcher.observe_beams(Vec::new()), None);
         assert_eq!(roof.watcher.complaint(), None);
+    }
+
+    #[test]
+    fn a_given_model_against_the_factory_byte_is_a_warning_that_names_the_line_to_change() {
+        let mut roof = Watched::new(None);
+        roof.observe(5, 75, 1);
+        // A Puck Hi-Res under `model = "vlp16"`.
+        roof.seen.facts.other_product = Some(0x24);
+        let told = roof.observe(5, 75, 1);
+        assert!(
+            told.len() == 1 && told[0].contains("factory byte"),
+            "{told:?}"
+        );
+        let is = roof.watcher.condition();
+        assert_eq!((is.state, is.is_fault), (State::Streaming, false));
+        assert!(is.complaint.unwrap().contains("Puck Hi-Res"));
+        assert!(is.findings[0].cure.contains("`model = \"puck-hires\"`"));
+        roof.seen.facts.other_product = None;
+        assert!(roof.observe(5, 75, 1)[0].contains("this is over"));
+        assert_eq!(roof.watcher.complaint(), None);
+    }
+
+    #[test]
+    fn what_the_kernel_drops_is_told_though_no_stamp_shows_it() {
+        let mut roof = Watched::new(None);
+        for (dropped, is_fault) in [(5, false), (75, true)] {
+            for _ in 0..100 {
+                roof.seen.tally.data += 75;
+                roof.seen.tally.received += 75;
+                roof.seen.tally.dropped += dropped;
+                roof.observe(1, 75, 1);
+            }
+            let is = roof.watcher.condition();
+            assert_eq!((is.state, is.is_fault), (State::Streaming, is_fault));
+            assert!(is.complaint.unwrap().contains("kernel dropped"));
+        }
+        lose(&mut roof, 10, 0);
+        assert_eq!(roof.watcher.complaint(), None);
+    }
+
+    #[test]
+    fn a_sensor_that_changes_again_and_again_is_told_with_how_often() {
+        let mut roof = Watched::new(None);
+        for model in [Model::Vlp16, Model::Hdl32e, Model::Vlp16] {
+            assert_eq!(roof.watcher.complaint(), None);
+            roof.turn(Running { model, ..RUNNING });
+            roof.observe(5, 75, 1);
+        }
+        let told = roof.watcher.complaint().unwrap();
+        assert!(
+            told.contains("another model 2 times in the last 10 minutes"),
+            "{told}"
+        );
+        roof.seen.facts.clock_jumps = 1;
+        roof.observe(5, 75, 1);
+        roof.seen.facts.clock_jumps = 3;
+        let told = roof.observe(5, 75, 1);
+        assert!(
+            told.len() == 1 && told[0].contains("its clock jumped 3 times"),
+            "{told:?}"
+        );
     }
 
     #[test]

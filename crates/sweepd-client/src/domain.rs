@@ -39,9 +39,12 @@ pub struct Domain {
 pub enum DomainError {
     /// It belongs to another user. Root could open it, and would silently get nothing.
     #[error(
-        "{root} belongs to user {owner}, this program runs as {own}: sweeps are shared within one user alone. Run it as {owner} \
-         (`sudo -u {owner} ...`, or `User={owner}` in its systemd unit)",
-        root = root.display()
+        "{root} belongs to user {owner}, this program runs as {own}: sweeps are shared within one user alone. If a daemon of {owner} \
+         runs, run it as {owner} (`sudo -u {owner} ...`, or `User={owner}` in its systemd unit); if none does, an earlier one left \
+         the folder: `sudo rm -r {left}` removes it, or name another with --root or the variable SWEEPD_ROOT, the same for the \
+         daemon and its consumers",
+        root = root.display(),
+        left = made_for(root).display()
     )]
     OtherUser {
         /// The folder.
@@ -94,6 +97,14 @@ pub enum DomainError {
         /// What the system says.
         source: io::Error,
     },
+}
+
+/// What a daemon makes where the folder is the usual one of a host without systemd: its parent, too.
+fn made_for(root: &Path) -> &Path {
+    match root.parent() {
+        Some(parent) if root == Path::new(FALLBACK) => parent,
+        _ => root,
+    }
 }
 
 impl Default for Domain {

@@ -22,6 +22,7 @@ mod report;
 mod state;
 mod timed;
 
+pub use crate::assemble::order::ClockBreaks;
 pub use config::Config;
 pub use dark_beams::{DarkBeam, DarkBeams};
 pub use event::Event;
@@ -39,7 +40,7 @@ use crate::sensor::detect::Detection;
 use crate::sensor::unit::Unit;
 use crate::sweep::SweepMut;
 use crate::wire::{Content, Packet, TIMES_NS};
-use decoding::LatePacket;
+use decoding::{Decoding, LatePacket};
 use event::ObjectsOf;
 use fearless_simd::Level;
 use identify::{Handover, NumberedPacket, Setup};
@@ -139,8 +140,12 @@ impl<'a> From<&'a Packet<'a>> for Arrival<'a> {
 pub struct Status<'a> {
     /// The model, and how it was detected, once it is known.
     pub detection: Option<Detection>,
+    /// The factory byte of its packets, once they are decoded: 0 where it is blank.
+    pub product: Option<u8>,
     /// What became of the datagrams so far.
     pub counts: Counts,
+    /// How often the clock of the sensor that is decoded did not run on.
+    pub clock_breaks: ClockBreaks,
     /// What an HDL-64E says of itself, as far as it has been heard.
     pub unit: Option<&'a Unit>,
     /// First and last azimuth of a limited field of view, clockwise from the sensor's +y, degrees;
@@ -390,7 +395,9 @@ impl Pipeline {
         let limits_cdeg = decoding.and_then(|decoding| decoding.builder.field_of_view_cdeg());
         Status {
             detection: self.state.detection(),
+            product: decoding.map(|decoding| decoding.product),
             counts: self.counts(),
+            clock_breaks: decoding.map(Decoding::clock_breaks).unwrap_or_default(),
             unit: self.state.unit(),
             field_of_view_deg: limits_cdeg.map(|(start, end)| (start / 100.0, end / 100.0)),
             dark_beams: &self.dark_beams,

@@ -315,7 +315,8 @@ def check_owner(root: str) -> bool:
         theirs = _user(owner)
         raise SweepdError(
             f"{root} belongs to user {theirs}, this program runs as {_user(own)}: sweeps are shared within one user "
-            f"alone. Run it as {theirs} (`sudo -u {theirs} ...`, or `User={theirs}` in its systemd unit)"
+            f"alone. If a daemon of {theirs} runs, run it as {theirs} (`sudo -u {theirs} ...`, or `User={theirs}` in its "
+            f"systemd unit); if none does, an earlier one left the folder: have {theirs} or root remove it"
         )
     return True
 

@@ -44,14 +44,15 @@ fn buffers(seen: &Observations, findings: &mut Findings) {
             continue;
         };
         let number = port.plan.port;
-        if buffer.is_too_small() {
+        let sensors = sensors_of(port.plan.port, seen);
+        if buffer.is_too_small_for(&sensors) {
             let now = seen.host.rmem_max.map_or(String::new(), |bytes| {
                 format!(" (net.core.rmem_max is {bytes})")
             });
             let what = format!(
-                "port {number}: the kernel gave a receive buffer for {} packets, {} ms of the fastest sensor{now}",
+                "port {number}: the kernel gave a receive buffer for {} packets, {}{now}",
                 buffer.packets(),
-                buffer.fastest_ms()
+                buffer.holds(&sensors)
             );
             let cure = format!(
                 "`sysctl -w net.core.rmem_max={0}`, for good with the line `net.core.rmem_max = {0}` in /etc/sysctl.d/sweepd.conf",
@@ -70,6 +71,21 @@ fn buffers(seen: &Observations, findings: &mut Findings) {
             );
         }
     }
+}
+
+/// The models of the sensors that send data to a port, as far as they are known: those that came, else
+/// those that are configured, else any.
+fn sensors_of(port: u16, seen: &Observations) -> Vec<Option<Model>> {
+    let came = seen.sensors.iter().filter(|one| one.port == port);
+    let mut models: Vec<Option<Model>> = came.map(|one| one.model).collect();
+    if models.is_empty() {
+        let expected = seen.plan.sensors.iter().filter(|one| one.port == port);
+        models = expected.map(|one| one.model).collect();
+    }
+    if models.is_empty() {
+        models.push(None);
+    }
+    models
 }
 
 fn shared_memory(seen: &Observations, findings: &mut Findings) {

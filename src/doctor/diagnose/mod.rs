@@ -8,6 +8,7 @@ mod tests;
 mod web;
 
 pub use host::sweep_bytes;
+use serde::Deserialize;
 use serde_json::Value;
 
 use super::observe::{Observations, PortResult};
@@ -92,7 +93,7 @@ fn ports(seen: &Observations, findings: &mut Findings) {
         }
     }
     if let Some(Ok(health)) = &seen.daemon {
-        daemon(health, findings);
+        daemon(seen, health, findings);
     }
 }
 
@@ -111,17 +112,14 @@ fn serves(health: &Value, port: u16) -> bool {
 }
 
 /// Findings from a running daemon's report, as far as it can be read.
-fn daemon(health: &Value, findings: &mut Findings) {
+fn daemon(seen: &Observations, health: &Value, findings: &mut Findings) {
     let reasons: Vec<String> = elements(&health["reasons"]).filter_map(clean).collect();
-    let warnings: Vec<String> = elements(&health["sensors"]).filter_map(warning).collect();
-    for reason in &reasons {
-        let severity = if warnings.contains(reason) {
-            Severity::Warning
-        } else {
-            Severity::Error
-        };
-        let cure = "this is what the running daemon says; its log has more, `journalctl -u sweepd`";
-        findings.add(severity, Topic::Daemon, reason, cure);
+    if health["findings"].is_array() {
+        let told = elements(&health["findings"]).filter_map(finding);
+        let told = told.map(|one| silence::beside(seen, health, one));
+        findings.0.extend(told);
+    } else {
+        of_older(health, &reasons, findings);
     }
     for sensor in elements(&health["sensors"]) {
         losses(sensor, findings);
@@ -154,6 +152,34 @@ fn daemon(health: &Value, findings: &mut Findings) {
         };
         findings.note(Topic::Daemon, what, "");
     }
+}
+
+/// The reasons of a daemon of version 0.2, which tells no findings.
+fn of_older(health: &Value, reasons: &[String], findings: &mut Findings) {
+    let warnings: Vec<String> = elements(&health["sensors"]).filter_map(warning).collect();
+    for reason in reasons {
+        let severity = if warnings.contains(reason) {
+            Severity::Warning
+        } else {
+            Severity::Error
+        };
+        let cure = "this is what the running daemon says; its log has more, `journalctl -u sweepd`";
+        findings.add(severity, Topic::Daemon, reason, cure);
+    }
+}
+
+/// A finding of a running daemon; one of a later version may be about a topic that is not known.
+fn finding(told: &Value) -> Option<Finding> {
+    let severity = Severity::deserialize(&told["severity"]).ok()?;
+    let topic = Topic::deserialize(&told["topic"]).unwrap_or(Topic::Daemon);
+    let steps = told["cure"].as_str().unwrap_or_default().lines();
+    let steps: Vec<String> = steps.filter_map(|step| clean(&step.into())).collect();
+    Some(Finding::new(
+        severity,
+        topic,
+        clean(&told["what"])?,
+        steps.join("\n"),
+    ))
 }
 
 /// A sensor of a running daemon, in a line.

@@ -2,10 +2,12 @@
 
 use std::net::{IpAddr, Ipv4Addr};
 
-use super::{Findings, elements, serves};
-use crate::doctor::Topic;
+use serde_json::Value;
+
+use super::{Findings, clean, elements, serves};
 use crate::doctor::observe::{Interface, Observations, PortResult, Web};
 use crate::doctor::plan::ExpectedSensor;
+use crate::doctor::{Finding, Topic};
 use crate::sensor_settings::Switch;
 
 pub(super) fn find(seen: &Observations, findings: &mut Findings) {
@@ -129,14 +131,37 @@ fn nothing(seen: &Observations, expected: Option<&ExpectedSensor>, findings: &mu
         Some(expected) => seen.web_at(expected.address),
         None => seen.web.first(),
     };
-    let cure = cure_of_silence(seen, expected, web).join("\n");
+    let address = expected.map(|expected| expected.address);
+    let cure = cure_of_silence(seen, &seen.port_list(), address, web).join("\n");
     findings.error(Topic::Silent, what, cure);
 }
 
-/// Cures of silence; `web` is the page of the sensor, if that answers.
+/// The same of a sensor that a running daemon hears nothing of: its cures are those that are told
+/// without a daemon. Any other finding stays as it is.
+pub(super) fn beside(seen: &Observations, health: &Value, mut finding: Finding) -> Finding {
+    if finding.topic != Topic::Silent {
+        return finding;
+    }
+    let is_it = |sensor: &&Value| {
+        let name = clean(&sensor["name"]);
+        name.is_some_and(|name| finding.what.starts_with(&format!("{name}: ")))
+    };
+    let Some(sensor) = elements(&health["sensors"]).find(is_it) else {
+        return finding;
+    };
+    let address = sensor["address"].as_str();
+    let address: Option<IpAddr> = address.and_then(|text| text.parse().ok());
+    let port = sensor["port"].to_string();
+    let web = address.and_then(|address| seen.web_at(address));
+    finding.cure = cure_of_silence(seen, &port, address, web).join("\n");
+    finding
+}
+
+/// Cures of silence of a sensor, if one is meant, on these ports; `web` is the page of the sensor, if that answers.
 fn cure_of_silence(
     seen: &Observations,
-    expected: Option<&ExpectedSensor>,
+    ports: &str,
+    address: Option<IpAddr>,
     web: Option<&Web>,
 ) -> Vec<String> {
     let mut steps = Vec::new();
@@ -150,7 +175,7 @@ fn cure_of_silence(
         None => {
             steps.extend(wiring(
                 &seen.host.interfaces,
-                expected.and_then(|expected| match expected.address {
+                address.and_then(|address| match address {
                     IpAddr::V4(address) => Some(address),
                     IpAddr::V6(_) => None,
                 }),
@@ -162,7 +187,7 @@ fn cure_of_silence(
         "at {page} the Destination must be 255.255.255.255 or an address of this host ({}) and Data Port one of {}; press \
          Set and then Save",
         seen.host.address_list(),
-        seen.port_list()
+        ports
     ));
     let mut bound = seen.ports.iter().map(|port| port.plan.bind);
     if let Some(bound) = bound.find(|bind| !bind.is_unspecified()) {

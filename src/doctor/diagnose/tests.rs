@@ -554,6 +554,43 @@ fn beside_a_daemon_losses_are_recent_and_have_the_cause_that_it_names() {
     );
 }
 
+/// A daemon's findings come with its cures; of a silent sensor, with those that are told without a
+/// daemon.
+#[test]
+fn beside_a_daemon_its_findings_are_told_and_silence_as_without_one() {
+    let mut seen = silent();
+    seen.ports[0].result = PortResult::Taken("port 2368 is taken: sweepd listens on it".to_owned());
+    seen.ports[1].result = PortResult::Taken("port 8308 is taken: sweepd listens on it".to_owned());
+    let finding = |severity: &str, topic: &str, what: &str| json!({"severity": severity, "topic": topic, "what": what, "cure": "a cure"});
+    seen.daemon = Some(Ok(json!({
+        "status": "fault", "reasons": ["roof: waiting: no packets"], "ports": [{"port": 2368}, {"port": 8308}],
+        "sensors": [{"name": "roof", "address": "192.168.1.201", "port": 2368, "state": "waiting"}],
+        "findings": [finding("error", "silent", "roof: no packets"), finding("warning", "loss", "roof: 9 packets came twice"),
+                     finding("note", "of-tomorrow", "roof: is purple\u{1b}[2J"), 5, {}],
+    })));
+    let findings = diagnose(&seen);
+    let cures = [
+        "roof: no packets",
+        "Destination",
+        "Data Port",
+        "nft list ruleset",
+    ];
+    holds(&findings[0], Severity::Error, Topic::Silent, &cures);
+    holds(
+        &findings[1],
+        Severity::Warning,
+        Topic::Loss,
+        &["came twice", "a cure"],
+    );
+    holds(
+        &findings[2],
+        Severity::Note,
+        Topic::Daemon,
+        &["roof: is purple[2J"],
+    );
+    assert_eq!(findings.iter().filter(|one| one.is_trouble()).count(), 2);
+}
+
 #[test]
 fn silence_on_the_usual_ports_is_none_where_a_daemon_has_others() {
     let mut seen = silent();

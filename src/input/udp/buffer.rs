@@ -70,17 +70,57 @@ impl ReceiveBuffer {
         self.wanted_bytes.div_ceil(2)
     }
 
-    /// A warning with the cure, if it is too small.
+    /// How long it holds the packets of these sensors together, two returns each, milliseconds; a
+    /// model that is not known counts as the fastest.
+    pub fn holds_ms(&self, sensors: &[Option<Model>]) -> u64 {
+        let mut packets_per_s = 0.0;
+        for model in sensors {
+            let period_ns = match model {
+                Some(model) => u64::from(model.spec().packet_period_ns(ReturnMode::Dual)),
+                None => *FASTEST_PERIOD_NS,
+            };
+            packets_per_s += 1e9 / period_ns as f64;
+        }
+        (self.packets() as f64 * 1e3 / packets_per_s) as u64
+    }
+
+    /// Whether it is too small for these sensors.
+    pub fn is_too_small_for(&self, sensors: &[Option<Model>]) -> bool {
+        self.is_too_small() && self.holds_ms(sensors) < AMPLE_NS / 1_000_000
+    }
+
+    /// How long it holds whose packets, in words.
+    pub fn holds(&self, sensors: &[Option<Model>]) -> String {
+        let ms = self.holds_ms(sensors);
+        match sensors {
+            [Some(model)] => format!("{ms} ms of a {model} with two returns"),
+            [None] => format!(
+                "{ms} ms of the fastest sensor, a {} with two returns, {} ms of a {}",
+                Model::Vls128,
+                self.holds_ms(&[Some(Model::Vlp16)]),
+                Model::Vlp16
+            ),
+            _ => format!("{ms} ms of its {} sensors with two returns", sensors.len()),
+        }
+    }
+
+    /// A warning with the cure, if it is too small for the fastest sensor.
     pub fn warning(&self, port: u16) -> Option<String> {
-        let packets = self.packets();
-        let ms = self.fastest_ms();
-        let rmem_max = self.rmem_max();
-        self.is_too_small().then(|| {
+        self.warning_for(port, &[None])
+    }
+
+    /// The same for the sensors of a port, by model where that is known.
+    pub fn warning_for(&self, port: u16, sensors: &[Option<Model>]) -> Option<String> {
+        self.is_too_small_for(sensors).then(|| {
             format!(
-                "port {port}: the kernel gave a receive buffer of {} bytes, not {}: room for {packets} packets, {ms} ms of \
-                 an HDL-64E S3 with two returns; more are dropped when the machine is busy. Allow it with \
-                 `sysctl -w net.core.rmem_max={rmem_max}`, for good with that line in /etc/sysctl.d/",
-                self.granted_bytes, self.wanted_bytes
+                "port {port}: the kernel gave a receive buffer of {} bytes, not {}: room for {} packets, {}; more are dropped \
+                 when the machine is busy. Allow it with `sysctl -w net.core.rmem_max={}`, for good with that line in \
+                 /etc/sysctl.d/",
+                self.granted_bytes,
+                self.wanted_bytes,
+                self.packets(),
+                self.holds(sensors),
+                self.rmem_max()
             )
         })
     }

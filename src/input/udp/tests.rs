@@ -2,6 +2,7 @@ use std::net::UdpSocket;
 
 use super::*;
 use crate::admission::{DiscoveredSensors, Refusal};
+use sweepd_core::sensor::Model;
 use sweepd_core::wire::DataPacket;
 
 const WAIT: Duration = Duration::from_secs(5);
@@ -346,6 +347,19 @@ fn the_buffer_holds_half_a_second_or_says_what_to_do() {
         ..small
     };
     assert_eq!(ample.warning(2368), None);
+    // A VLP-16 with two returns sends 1508 packets a second: 184 last 122 ms, 1000 last 663 ms.
+    let sensor = [Some(Model::Vlp16)];
+    let warning = small.warning_for(2368, &sensor).unwrap();
+    assert!(
+        warning.contains("122 ms of a VLP-16 with two returns"),
+        "{warning}"
+    );
+    let enough = ReceiveBuffer {
+        granted_bytes: 1000 * buffer::CHARGED_BYTES,
+        ..small
+    };
+    assert_eq!(enough.warning_for(2368, &sensor), None);
+    assert!(enough.warning_for(2368, &[sensor[0]; 2]).is_some());
     let given = source(ample_buffer_bytes()).buffer();
     assert_eq!(given.is_too_small(), given.warning(1).is_some());
 }

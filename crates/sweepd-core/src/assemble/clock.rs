@@ -13,7 +13,7 @@ use crate::wire::nmea::Rmc;
 use crate::wire::position::Pps;
 use crate::wire::{HOUR_US, Position};
 
-const HOUR_NS: i64 = HOUR_US as i64 * 1000;
+pub(super) const HOUR_NS: i64 = HOUR_US as i64 * 1000;
 /// Age of a sentence's second by a clock that follows the pulse. The sentence takes up to a second
 /// to be complete, and packets repeat it until the next one is. One second more on each side allows
 /// for a receiver that names the coming second, or is late.

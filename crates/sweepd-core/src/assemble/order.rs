@@ -8,7 +8,7 @@
 
 use std::collections::VecDeque;
 
-use super::clock::SensorClock;
+use super::clock::{HOUR_NS, SensorClock};
 use super::matcher::{MatchQuality, PacketMatcher, Relation};
 pub use super::matcher::{OrderedPacket, PacketGap};
 use super::motion::{Implausible, Motion, Sector};
@@ -28,6 +28,11 @@ const SET_BACK_PACKETS: u32 = 16;
 const OFF_BEAT_WEIGHT: [u32; 2] = [4, 8];
 /// From this sum on the sensor does not keep its period, and no stamp is refused for being off it.
 const UNSTEADY: u32 = 64;
+/// Stamps that are this far from the time between two arrivals are those of a clock that did not run
+/// on: longer than packets wait on their way.
+const CLOCK_OFF_NS: i64 = 300_000_000;
+/// A sensor that begins anew is silent for longer than this, while it starts.
+const RESTARTING_NS: i64 = 1_000_000_000;
 
 /// Why a packet will not come out again.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,6 +62,15 @@ pub struct OrderCounts {
     pub set_back: u64,
 }
 
+/// How often the sensor's clock did not run on, by the time between arrivals.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ClockBreaks {
+    /// It began anew after a silence.
+    pub restarts: u64,
+    /// It jumped while packets came.
+    pub jumps: u64,
+}
+
 /// The queue that puts packets in order.
 #[derive(Debug)]
 pub struct PacketOrder {
@@ -73,6 +87,7 @@ pub struct PacketOrder {
     off_beat: u32,
     matcher: PacketMatcher,
     counts: OrderCounts,
+    clock_breaks: ClockBreaks,
 }
 
 impl PacketOrder {
@@ -91,6 +106,7 @@ impl PacketOrder {
             off_beat: 0,
             matcher: PacketMatcher::new(spec),
             counts: OrderCounts::default(),
+            clock_breaks: ClockBreaks::default(),
         }
     }
 
@@ -108,6 +124,11 @@ impl PacketOrder {
     /// Counts so far.
     pub fn counts(&self) -> OrderCounts {
         self.counts
+    }
+
+    /// How often the sensor's clock did not run on so far.
+    pub fn clock_breaks(&self) -> ClockBreaks {
+        self.clock_breaks
     }
 
     /// The sensor's clock, at the newest packet that came out.
@@ -266,7 +287,7 @@ impl PacketOrder {
             self.hold(suspect);
         } else {
             self.settle(0);
-            self.release(suspect, PacketGap::Start);
+            self.begin_anew(suspect);
         }
         let index = self.store(*packet);
         self.hold(index);
@@ -318,6 +339,9 @@ impl PacketOrder {
                 return;
             }
             self.held.remove(0);
+            if matches!(before, PacketGap::Lost { .. }) {
+                self.note_break(index);
+            }
             self.release(index, before);
         }
     }
@@ -328,13 +352,35 @@ impl PacketOrder {
 
     fn start(&mut self, packet: OrderedPacket) {
         let index = self.store(packet);
-        self.release(index, PacketGap::Start);
+        self.begin_anew(index);
     }
 
     fn restart(&mut self, packet: OrderedPacket) {
         self.flush();
         self.set_back = 0;
         self.start(packet);
+    }
+
+    /// Releases a packet that does not follow from the one before.
+    fn begin_anew(&mut self, index: usize) {
+        self.note_break(index);
+        self.release(index, PacketGap::Start);
+    }
+
+    /// Counts whether the sensor's clock ran on from the packet before to this one: after a silence
+    /// or a loss alone it did.
+    fn note_break(&mut self, index: usize) {
+        let Some(last) = self.last else { return };
+        let [last, packet] = [last, index].map(|index| &self.packets[index]);
+        let came_ns = packet.arrival_ns.saturating_sub(last.arrival_ns);
+        let stamps_us = i64::from(packet.bytes.stamp_us()) - i64::from(last.bytes.stamp_us());
+        let off_ns = (stamps_us * 1000).wrapping_sub(came_ns).rem_euclid(HOUR_NS);
+        let is_off = (CLOCK_OFF_NS..=HOUR_NS - CLOCK_OFF_NS).contains(&off_ns);
+        if is_off && packet.mode == last.mode {
+            let is_silent = came_ns >= RESTARTING_NS;
+            self.clock_breaks.restarts += u64::from(is_silent);
+            self.clock_breaks.jumps += u64::from(!is_silent);
+        }
     }
 
     fn release(&mut self, index: usize, before: PacketGap) {

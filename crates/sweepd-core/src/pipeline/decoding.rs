@@ -5,7 +5,7 @@ use super::report::{Counts, Fault, Notice, Report};
 use crate::assemble::builder::{Builder, BuilderConfig};
 use crate::assemble::decode::Decoder;
 use crate::assemble::motion::TURN;
-use crate::assemble::order::{OrderCounts, OrderedPacket, PacketOrder, Rejection};
+use crate::assemble::order::{ClockBreaks, OrderCounts, OrderedPacket, PacketOrder, Rejection};
 use crate::assemble::removal::Remover;
 use crate::buffers::OpenBuffer;
 use crate::sensor::compare::Difference;
@@ -34,7 +34,7 @@ pub(super) struct Decoding {
     /// What the sensor says of itself, and the calibration in use to compare it with.
     unit: Option<(Unit, Calibration)>,
     /// Product byte of its packets.
-    product: u8,
+    pub product: u8,
     foreign: ForeignRun,
     /// Return mode of the packet before.
     last_mode: ReturnMode,
@@ -291,6 +291,11 @@ impl Decoding {
     /// What an HDL-64E has said of itself.
     pub fn unit(&self) -> Option<&Unit> {
         self.unit.as_ref().map(|(unit, _)| unit)
+    }
+
+    /// How often the sensor's clock did not run on.
+    pub fn clock_breaks(&self) -> ClockBreaks {
+        self.order.clock_breaks()
     }
 
     /// Adds what order and builder have counted.

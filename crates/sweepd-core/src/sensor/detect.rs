@@ -548,6 +548,21 @@ impl Intervals {
 
 /// The model of a product byte; `None` if it is blank. A Puck LITE reports that of a VLP-16. The
 /// manual gives a VLS-128 another byte than real ones send.
+/// The model that a factory byte says; `None` where it is blank or unknown.
+pub fn model_of(product: u8) -> Option<Model> {
+    model_of_product(product).ok().flatten()
+}
+
+/// Whether a factory byte says that the beams are others than those of a given model. A blank one
+/// says nothing, nor does that of an HDL-32E, which early VLP-16 firmware sends.
+pub fn has_other_beams(given: Model, product: u8) -> bool {
+    let own = given.spec().product;
+    let is_early =
+        own == Model::Vlp16.spec().product && Some(product) == Model::Hdl32e.spec().product;
+    let is_own = model_of(product).is_some_and(|said| said.spec().product == own);
+    product != 0 && own.is_some() && !is_early && !is_own
+}
+
 fn model_of_product(product: u8) -> Result<Option<Model>, DetectError> {
     if product == 0 {
         return Ok(None);

@@ -37,7 +37,8 @@ pub enum Pps {
 }
 
 impl Pps {
-    fn from_byte(byte: u8) -> Self {
+    /// The state of a byte of the packet.
+    pub fn from_byte(byte: u8) -> Self {
         match byte {
             0 => Self::Absent,
             1 => Self::Synchronizing,
@@ -47,7 +48,8 @@ impl Pps {
         }
     }
 
-    fn byte(self) -> u8 {
+    /// The byte of the packet.
+    pub fn byte(self) -> u8 {
         match self {
             Self::Absent => 0,
             Self::Synchronizing => 1,

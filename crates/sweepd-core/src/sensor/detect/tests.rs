@@ -694,3 +694,22 @@ proptest! {
         prop_assert!(verdict.is_some());
     }
 }
+
+#[test]
+fn a_factory_byte_of_other_beams_contradicts_the_given_model() {
+    for (given, byte, is_other) in [
+        (Model::Vlp16, 0x22, false),
+        (Model::Vlp16, 0, false),
+        // Early firmware.
+        (Model::Vlp16, 0x21, false),
+        (Model::Vlp16, 0x24, true),
+        (Model::PuckHiRes, 0x22, true),
+        (Model::PuckHiRes, 0x24, false),
+        (Model::Vlp32c, 0x24, true),
+        (Model::Vls128, 0x63, false),
+        // Where others have it, an HDL-64E has its status.
+        (Model::Hdl64eS3, 0x24, false),
+    ] {
+        assert_eq!(has_other_beams(given, byte), is_other, "{given} {byte:#x}");
+    }
+}
