@@ -157,7 +157,8 @@ pub(super) fn beside(seen: &Observations, health: &Value, mut finding: Finding) 
     finding
 }
 
-/// Cures of silence of a sensor, if one is meant, on these ports; `web` is the page of the sensor, if that answers.
+/// Cures of silence of a sensor, if one is meant, on these ports; `web` is the page of the sensor, if
+/// that answers.
 fn cure_of_silence(
     seen: &Observations,
     ports: &str,

@@ -340,7 +340,8 @@ impl PacketOrder {
             }
             self.held.remove(0);
             if matches!(before, PacketGap::Lost { .. }) {
-                self.note_break(index);
+                // Packets that wait on their way come late: that is no step back.
+                self.note_break(index, HOUR_NS / 2);
             }
             self.release(index, before);
         }
@@ -363,19 +364,19 @@ impl PacketOrder {
 
     /// Releases a packet that does not follow from the one before.
     fn begin_anew(&mut self, index: usize) {
-        self.note_break(index);
+        self.note_break(index, HOUR_NS - CLOCK_OFF_NS);
         self.release(index, PacketGap::Start);
     }
 
     /// Counts whether the sensor's clock ran on from the packet before to this one: after a silence
-    /// or a loss alone it did.
-    fn note_break(&mut self, index: usize) {
+    /// or a loss alone it did. It counts as off up to so far ahead, modulo an hour, nanoseconds.
+    fn note_break(&mut self, index: usize, up_to_ns: i64) {
         let Some(last) = self.last else { return };
         let [last, packet] = [last, index].map(|index| &self.packets[index]);
         let came_ns = packet.arrival_ns.saturating_sub(last.arrival_ns);
         let stamps_us = i64::from(packet.bytes.stamp_us()) - i64::from(last.bytes.stamp_us());
         let off_ns = (stamps_us * 1000).wrapping_sub(came_ns).rem_euclid(HOUR_NS);
-        let is_off = (CLOCK_OFF_NS..=HOUR_NS - CLOCK_OFF_NS).contains(&off_ns);
+        let is_off = (CLOCK_OFF_NS..=up_to_ns).contains(&off_ns);
         if is_off && packet.mode == last.mode {
             let is_silent = came_ns >= RESTARTING_NS;
             self.clock_breaks.restarts += u64::from(is_silent);
