@@ -752,6 +752,107 @@ fn beside_a_daemon_the_doctor_and_watch_say_how_it_is_now() {
         .for_each(|line| drop(serde_json::from_str::<Value>(line).unwrap()));
 }
 
+/// Datagrams of a Hesai Pandar40P, which uses the data port of a Velodyne by default: ten blocks of
+/// 40 records, 1262 bytes in all.
+fn pandar40p(seconds: f64) -> Stream {
+    let block = [&[0xFF, 0xEE, 0x10, 0x27][..], &[0x88, 0x13, 30].repeat(40)].concat();
+    let payload = [block.repeat(10), vec![0; 22]].concat();
+    let count = (seconds * 1000.0) as u64;
+    let at = |number| (Duration::from_millis(number), payload.clone());
+    (0..count).map(at).collect()
+}
+
+/// Two sensors that send nothing: for the one comes another Velodyne, from the address of the other
+/// a LiDAR of another maker. The log, /health and the doctor beside the daemon tell who sends.
+#[test]
+#[ignore = "the daemon asks whether the sensors are powered"]
+fn who_sends_in_place_of_a_sensor_is_told_by_the_daemon_and_beside_it() {
+    let own = temp_domain();
+    std::fs::create_dir_all(own.root()).unwrap();
+    let [roof, rear, http] = [(); 3].map(|()| free_port());
+    let file = own.root().join("sweepd.toml");
+    let notes = own.root().join("daemon.log");
+    let sensor = |name: &str, address: &str, port: u16| {
+        format!(
+            "[[sensor]]\nname = \"{name}\"\naddress = \"{address}\"\nbind = \"127.0.0.1\"\nport = {port}\nposition_port = {port}\n"
+        )
+    };
+    let text = format!(
+        "http = \"127.0.0.1:{http}\"\n{}{}",
+        sensor("roof", "127.0.0.9", roof),
+        sensor("rear", "127.0.0.3", rear)
+    );
+    std::fs::write(&file, text).unwrap();
+    let log = std::fs::File::create(&notes).unwrap();
+    let args = ["run", "--config", file.to_str().unwrap()];
+    let _daemon = Program::start(&args, &own, Stdio::null(), log.into());
+    let (velodyne, pandar) = (vlp16(30.0), pandar40p(30.0));
+    let second = Ipv4Addr::new(127, 0, 0, 2);
+    let third = Ipv4Addr::new(127, 0, 0, 3);
+    let told = [
+        &["roof: ", "127.0.0.2", "VLP-16", "`address = \"127.0.0.2\"`"][..],
+        &["rear: ", "127.0.0.3", "1262 bytes", "Hesai Pandar40P"],
+    ];
+    let tells = |text: &str, parts: &[&str]| {
+        let is_told = |line: &str| parts.iter().all(|part| line.contains(part));
+        text.lines().any(is_told)
+    };
+    let over = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let _ends = Ends(&over);
+        scope.spawn(|| send(&velodyne, second, &[roof], &over));
+        scope.spawn(|| send(&pandar, third, &[rear], &over));
+        let at = SocketAddr::from((LOCAL, http));
+        let begun = Instant::now();
+        let reasons = loop {
+            let health = health::ask(at).unwrap_or_default();
+            let reasons = health["reasons"].as_array().into_iter().flatten();
+            let reasons: Vec<_> = reasons.filter_map(Value::as_str).collect();
+            let reasons = reasons.join("\n");
+            if told.iter().all(|parts| tells(&reasons, parts)) {
+                break reasons;
+            }
+            assert!(begun.elapsed() < Duration::from_secs(10), "{reasons}");
+            std::thread::sleep(Duration::from_millis(200));
+        };
+        assert!(!reasons.contains("powered"), "{reasons}");
+        let log = std::fs::read_to_string(&notes).unwrap();
+        let plan = Plan {
+            health: Some(at),
+            ..Plan::of_ports(&[roof, rear], LOCAL, None, None)
+        };
+        let found = examine(plan, Duration::from_millis(200), None, |_| ());
+        let findings = found_in(&found.unwrap());
+        for parts in told {
+            assert!(tells(&log, parts), "{parts:?}: {log}");
+            assert!(tells(&findings, parts), "{parts:?}: {findings}");
+        }
+    });
+}
+
+/// What is found, a line each.
+fn found_in(seen: &Observations) -> String {
+    let lines: Vec<String> = found(seen).into_iter().map(|one| one.what).collect();
+    lines.join("\n")
+}
+
+#[test]
+#[ignore = "the doctor asks whether the sensor is powered"]
+fn who_sends_in_place_of_a_sensor_is_told_without_a_daemon() {
+    let second = Ipv4Addr::new(127, 0, 0, 2);
+    let pandar = seen(anything(), None, &[(second, pandar40p(4.0))]);
+    let [only] = &found(&pandar)[..] else {
+        panic!("{:#?}", found(&pandar))
+    };
+    assert_eq!(
+        (only.severity, only.topic),
+        (Severity::Error, Topic::Foreign)
+    );
+    for part in ["from 127.0.0.2:", "1262 bytes", "a Hesai Pandar40P"] {
+        assert!(only.what.contains(part), "{only:?}");
+    }
+}
+
 /// A sensor that measures half a turn and sends one return, where all of a turn and two are wanted:
 /// a daemon says what packets show, and the doctor what the sensor says too. Nobody sets anything.
 #[test]

@@ -170,6 +170,18 @@ mod tests {
         }
     }
 
+    /// It has the marks of a Velodyne's blocks, in blocks of another length.
+    #[test]
+    #[ignore = "it has no name"]
+    fn a_pandar40p_is_recognised_by_its_length() {
+        let payload = [&[0xFF, 0xEE, 0x10, 0x27][..], &[30; 1258]].concat();
+        let lines = flows(&[("10.0.0.3:10000", 2368, &payload); 3]);
+        assert!(
+            lines[0].contains("looks like a Hesai Pandar40P"),
+            "{lines:?}"
+        );
+    }
+
     #[test]
     fn what_differs_within_a_flow_is_no_mark_and_many_flows_are_summed_up() {
         let lines = flows(&[("10.0.0.1:9", 9, &[0xEE, 0xFF]), ("10.0.0.1:9", 9, &[0xEE])]);
