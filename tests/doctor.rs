@@ -765,7 +765,6 @@ fn pandar40p(seconds: f64) -> Stream {
 /// Two sensors that send nothing: for the one comes another Velodyne, from the address of the other
 /// a LiDAR of another maker. The log, /health and the doctor beside the daemon tell who sends.
 #[test]
-#[ignore = "the daemon asks whether the sensors are powered"]
 fn who_sends_in_place_of_a_sensor_is_told_by_the_daemon_and_beside_it() {
     let own = temp_domain();
     std::fs::create_dir_all(own.root()).unwrap();
@@ -837,7 +836,6 @@ fn found_in(seen: &Observations) -> String {
 }
 
 #[test]
-#[ignore = "the doctor asks whether the sensor is powered"]
 fn who_sends_in_place_of_a_sensor_is_told_without_a_daemon() {
     let second = Ipv4Addr::new(127, 0, 0, 2);
     let pandar = seen(anything(), None, &[(second, pandar40p(4.0))]);

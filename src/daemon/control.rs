@@ -28,6 +28,7 @@ use super::record::{Recordings, socket_path};
 use super::runtime::{DaemonError, PortStatus, Runtime, SensorStatus};
 use super::sensor::Event;
 use super::sharing::Sharing;
+use super::silence::Silence;
 use super::state::{Condition, Facts, Message, Observation, Running, Watcher};
 use crate::cure::{Dialect, explain};
 use crate::judge::{Finding, Remark};
@@ -208,6 +209,8 @@ struct Control {
     gone: Vec<usize>,
     /// How often the shared memory of each sensor was made again, as last logged.
     renewed: Vec<u64>,
+    /// Why silent sensors are silent.
+    silence: Silence,
     /// Ports for which it was logged that position packets reach no sensor.
     ambiguous: Vec<usize>,
     /// Why the configuration on disk is not the one in use.
@@ -267,6 +270,7 @@ impl Control {
             hanging: Vec::new(),
             gone: Vec::new(),
             renewed,
+            silence: Silence::default(),
             ambiguous: Vec::new(),
             refused: None,
             notifier,
@@ -328,6 +332,7 @@ impl Control {
         let now = self.begun.elapsed();
         self.hear_events();
         self.recordings.look();
+        self.silence.look(now, &self.runtime, &mut self.watchers);
         for (watcher, sensor) in self.watchers.iter_mut().zip(self.runtime.sensors.iter()) {
             let tally = tally(sensor, &self.runtime);
             watcher

@@ -5,15 +5,18 @@
 use std::sync::atomic::{
     AtomicBool, AtomicI32, AtomicI64, AtomicU8, AtomicU32, AtomicU64, Ordering::Relaxed,
 };
+use std::sync::{Mutex, PoisonError};
 
 use super::losses::Tally;
 use crate::admission::Refusal;
 use crate::sensor_settings::FieldOfView;
+use crate::strangers::{Stranger, Strangers};
 use sweepd_core::pipeline::{Counts, DarkBeam};
 use sweepd_core::segment::MAX_ROWS;
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::Header;
 use sweepd_core::sweep::layout::{TimeSource, flags};
+use sweepd_core::wire::Datagram;
 use sweepd_core::wire::data::ReturnMode;
 use sweepd_core::wire::position::Pps;
 
@@ -453,9 +456,28 @@ pub struct PortCounters {
     pub dropped: Counter,
     refused: [Counter; Refusal::OF_CONFIGURED.len()],
     is_interface_gone: AtomicBool,
+    /// Who sends what reaches no sensor.
+    strangers: Mutex<Strangers>,
 }
 
 impl PortCounters {
+    /// Notes who sends a datagram that reaches no sensor. The thread of the port does not wait: what
+    /// comes while the strangers are read is not noted.
+    pub fn note_stranger(&self, datagram: &Datagram<'_>) {
+        if let Ok(mut strangers) = self.strangers.try_lock() {
+            strangers.add(datagram);
+        }
+    }
+
+    /// Those whose datagrams reach no sensor now, from the one that sends most; nanoseconds since
+    /// 1970.
+    pub fn strangers(&self, now_ns: i64) -> Vec<Stranger> {
+        let strangers = self.strangers.lock();
+        strangers
+            .unwrap_or_else(PoisonError::into_inner)
+            .present(now_ns)
+    }
+
     /// Counts a datagram that reaches no sensor.
     pub fn refuse(&self, reason: Refusal) {
         self.refused[reason as usize].add(1);

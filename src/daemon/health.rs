@@ -13,6 +13,8 @@ use super::record::RecordingsStatus;
 use super::runtime::{PortStatus, SensorStatus};
 use super::state::{Condition, State};
 use crate::judge::{Finding, Remark, Severity, Topic};
+use crate::strangers::Stranger;
+use sweepd_client::host::realtime_ns;
 use sweepd_core::wire::data::ReturnMode;
 
 /// State of the daemon at a moment.
@@ -245,6 +247,7 @@ fn losses(recent: Recent, words: Option<&[String; 2]>) -> Value {
 }
 
 fn port(port: &PortStatus, hangs: bool) -> Value {
+    let strangers = port.counters.strangers(realtime_ns());
     let mut report = json!({
         "name": port.name,
         "address": port.local.ip(),
@@ -253,6 +256,7 @@ fn port(port: &PortStatus, hangs: bool) -> Value {
         "hangs": hangs,
         "buffer_bytes": port.buffer.granted_bytes,
         "buffer_bytes_wanted": port.buffer.wanted_bytes,
+        "strangers": strangers.iter().map(Stranger::json).collect::<Vec<_>>(),
     });
     counter_table::report(counter_table::OF_PORT, port, &mut report);
     report

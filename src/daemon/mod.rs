@@ -30,6 +30,7 @@ pub mod runtime;
 pub mod sensor;
 mod shared_memory;
 pub mod sharing;
+mod silence;
 pub mod state;
 pub mod sys;
 #[cfg(test)]

@@ -1,5 +1,5 @@
 //! One thread per port: receive, admit, decode, segment, publish. No lock, allocation or log line
-//! per packet.
+//! per packet; of what is refused, the sender is noted under a lock that is never waited for.
 //!
 //! ```text
 //! socket -> admission -> data packet      -> pipeline of the sensor -> sweep -> consumers
@@ -345,6 +345,7 @@ impl<B: Buffers<Buffer: Outgoing>> PortState<B> {
             }
             Err(refused) => {
                 self.counters.refuse(refused.reason);
+                self.counters.note_stranger(&datagram);
                 if let Some(index) = refused.sensor {
                     self.sensors[index].sensor.refuse();
                 }

@@ -8,6 +8,7 @@ use std::time::Duration;
 use super::losses::{Level, Limits, Losses, Recent, SensorAddress, Tally, Turn};
 use crate::judge::{Finding, Remark, Severity, Topic};
 use crate::sensor_settings::{FieldOfView, Settings};
+use crate::strangers::Cause;
 use crate::{beams, floor, gps};
 use sweepd_core::assemble::GpsDoubt;
 use sweepd_core::floor::Sight;
@@ -21,6 +22,8 @@ use sweepd_core::wire::position::Pps;
 /// A sensor no longer streams after this time without packets, or without a steady sweep while
 /// packets come.
 pub const PATIENCE: Duration = Duration::from_secs(2);
+/// Least interval between two reasons in the log why no packets come.
+const TELL_EVERY: Duration = Duration::from_secs(60);
 /// Greatest deviation from the configured speed without a message, as a share of it; the message is
 /// withdrawn within half of that.
 const RPM_TOLERANCE: f32 = 0.05;
@@ -224,6 +227,10 @@ pub struct Watcher {
     newest_sweep: Duration,
     /// Whether it was logged that no packets come at all.
     has_hinted: bool,
+    /// Why no packets come, as far as this host knows.
+    silence: Option<Cause>,
+    /// The same as last logged, and when.
+    told_silence: Option<(Cause, Duration)>,
     is_off_speed: bool,
     /// Other settings that packets show to be other than wanted, by name and in words.
     unlike: Vec<(&'static str, String)>,
@@ -266,6 +273,8 @@ impl Watcher {
             newest_data: now,
             newest_sweep: now,
             has_hinted: false,
+            silence: None,
+            told_silence: None,
             is_off_speed: false,
             unlike: Vec::new(),
             dark: Vec::new(),
@@ -508,6 +517,16 @@ impl Watcher {
         self.hindrance = None;
     }
 
+    /// For how long no data packet has come.
+    pub fn quiet_for(&self, now: Duration) -> Duration {
+        now.saturating_sub(self.newest_data)
+    }
+
+    /// Takes why no packets come; `None` where nothing tells it.
+    pub fn explain_silence(&mut self, why: Option<Cause>) {
+        self.silence = why;
+    }
+
     /// Takes the present counts, and gives new messages, each once.
     pub fn observe(&mut self, now: &Observation) -> Vec<Message> {
         let before = std::mem::replace(&mut self.before, *now);
@@ -535,6 +554,11 @@ impl Watcher {
         {
             self.has_hinted = true;
             messages.push(self.message(true, &self.silence().to_string()));
+        } else if matches!(state, State::Waiting | State::Stalled) && self.is_news(now.now) {
+            messages.push(self.message(true, &self.silence().to_string()));
+        }
+        if matches!(state, State::Waiting | State::Stalled) && !messages.is_empty() {
+            self.told_silence = self.silence.clone().map(|why| (why, now.now));
         }
         if let Some(running) = running {
             messages.extend(self.watch_speed(running.rpm));
@@ -712,23 +736,51 @@ impl Watcher {
         format!("turns at {rpm:.0} rpm, [sensor.want] says {set}")
     }
 
+    /// Whether why no packets come is known now and was not told, or not lately: whoever sends from
+    /// changing addresses must not fill the log.
+    fn is_news(&self, now: Duration) -> bool {
+        let told = self.told_silence.as_ref();
+        self.quiet_for(now) >= PATIENCE
+            && self.silence.as_ref().is_some_and(|why| {
+                told.is_none_or(|(told, at)| told != why && now - *at >= TELL_EVERY)
+            })
+    }
+
     /// Why nothing is there to decode, and the cure.
     fn silence(&self) -> Finding {
         let address = &self.place.address;
         let port = self.place.port.unwrap_or_default();
-        if self.before.position > 0 && self.before.data == 0 {
-            let what = format!("only position packets from {address}, no data on port {port}");
-            let cure = "does it send its data to another port?";
-            return Finding::new(Severity::Error, Topic::PositionOnly, what, cure);
+        let (topic, what, question) = if self.before.position > 0 && self.before.data == 0 {
+            (
+                Topic::PositionOnly,
+                format!("only position packets from {address}, no data on port {port}"),
+                "does it send its data to another port?",
+            )
+        } else {
+            let what = format!(
+                "no packets from {address} on port {port} for {} s",
+                PATIENCE.as_secs()
+            );
+            match self.before.data {
+                0 => (
+                    Topic::Silent,
+                    what,
+                    "is it powered, and is this host its destination?",
+                ),
+                _ => (
+                    Topic::Silent,
+                    what + ", though they came before",
+                    "has it lost its power or its cable, or was its destination changed?",
+                ),
+            }
+        };
+        match &self.silence {
+            Some(cause) => {
+                let what = format!("{what}: {}", cause.what);
+                Finding::new(Severity::Error, topic, what, &cause.cure[..])
+            }
+            None => Finding::new(Severity::Error, topic, what, question),
         }
-        let seconds = PATIENCE.as_secs();
-        let mut what = format!("no packets from {address} on port {port} for {seconds} s");
-        let mut cure = "is it powered, and is this host its destination?";
-        if self.before.data > 0 {
-            what += ", though they came before";
-            cure = "has it lost its power or its cable, or was its destination changed?";
-        }
-        Finding::new(Severity::Error, Topic::Silent, what, cure)
     }
 
     fn message(&self, is_warning: bool, text: &str) -> Message {
@@ -840,6 +892,29 @@ mod tests {
         assert_eq!(roof.watcher.state(), State::Stalled);
         assert_eq!(roof.observe(5, 75, 0), [spinning]);
         assert_eq!(roof.observe(5, 75, 1), [streaming]);
+    }
+
+    #[test]
+    fn why_no_packets_come_is_logged_when_it_is_known_and_once_a_minute_at_most() {
+        let mut roof = Watched::new(None);
+        assert_eq!(roof.observe(30, 0, 0).len(), 1);
+        for (why, told) in [("one", 1), ("one", 0), ("another", 0)] {
+            let (what, cure) = (why.to_owned(), "change it".to_owned());
+            roof.watcher.explain_silence(Some(Cause { what, cure }));
+            let silence = format!(
+                "roof: no packets from 192.168.1.201 on port 2368 for 2 s: {why}: change it"
+            );
+            let expected = vec![silence.clone(); told];
+            assert_eq!(roof.observe(100, 0, 0), expected);
+            assert_eq!(
+                silence.strip_prefix("roof: "),
+                roof.watcher.complaint().as_deref()
+            );
+        }
+        assert_eq!(roof.observe(600, 0, 0).len(), 1);
+        // A new stall has the reason with it.
+        roof.observe(10, 75, 1);
+        assert!(roof.observe(50, 0, 0)[0].ends_with(": another: change it"));
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Listens to the ports for a few seconds, with the same admission and pipelines as the daemon.
 
-use std::net::{IpAddr, SocketAddr};
+use std::net::IpAddr;
 use std::time::{Duration, Instant};
 
 use super::observe::{ObservedPort, ObservedSensor, PortResult, PositionSender};
@@ -9,6 +9,7 @@ use crate::admission::{Refusal, Route, Sender};
 use crate::cure::{Dialect, explain};
 use crate::input::{Placed, UdpConfig, UdpError, UdpSource};
 use crate::sensor_settings::FieldOfView;
+use crate::strangers::Strangers;
 use crate::streams::{Stream, Streams};
 use sweepd_core::assemble::GpsTime;
 use sweepd_core::buffers::{HeapBuffers, Memory};
@@ -20,8 +21,6 @@ use sweepd_core::sweep::layout::{TimeSource, flags};
 use sweepd_core::wire::nmea::Rmc;
 use sweepd_core::wire::{Content, Packet};
 
-/// Senders of other datagrams that are remembered by name.
-const MAX_OTHERS: usize = 16;
 /// Senders of position packets that are remembered.
 const MAX_POSITIONS: usize = 64;
 /// Longest wait on one port while others may have something.
@@ -49,7 +48,7 @@ struct Listener {
     source: UdpSource,
     streams: Streams<DecodedSensor>,
     /// Senders of datagrams that are not packets.
-    others: Vec<(SocketAddr, u64)>,
+    others: Strangers,
 }
 
 /// A sensor, and the pipeline that decodes it.
@@ -115,7 +114,7 @@ pub fn listen(
                 let result = PortResult::Open {
                     received: listener.source.received(),
                     dropped: listener.source.dropped(),
-                    others: listener.others,
+                    others: listener.others.all(),
                     buffer: listener.source.buffer(),
                 };
                 let sensors = listener.streams.all.into_iter();
@@ -136,7 +135,7 @@ impl Listener {
             Ok(source) => Ok(Self {
                 source,
                 streams: Streams::new(Vec::new()),
-                others: Vec::new(),
+                others: Strangers::default(),
             }),
             Err(error @ UdpError::PortTaken { .. }) => Err(PortResult::Taken(error.to_string())),
             Err(error) => Err(PortResult::Refused(error.to_string())),
@@ -169,7 +168,7 @@ impl Listener {
                 }
                 // A sensor beyond the most that are distinguished does not count as another sender.
                 Ok(Err(refused)) if refused.reason != Refusal::TooMany => {
-                    note_other(&mut self.others, datagram.source);
+                    self.others.add(&datagram);
                 }
                 _ => {}
             }
@@ -265,14 +264,6 @@ impl DecodedSensor {
                 .get_or_insert(detection.return_mode);
         }
         self.observed
-    }
-}
-
-fn note_other(others: &mut Vec<(SocketAddr, u64)>, source: SocketAddr) {
-    if let Some((_, count)) = others.iter_mut().find(|(known, _)| *known == source) {
-        *count += 1;
-    } else if others.len() < MAX_OTHERS {
-        others.push((source, 1));
     }
 }
 

@@ -25,6 +25,7 @@ use std::net::Ipv4Addr;
 use std::time::Duration;
 
 use crate::input::UdpError;
+use crate::network::Drops;
 use observe::PortResult;
 
 pub use crate::judge::{Finding, Severity, Topic};
@@ -61,7 +62,9 @@ pub fn examine(
     web_port: Option<u16>,
     opened: impl FnOnce(&[u16]),
 ) -> Result<Observations, ExamineError> {
+    let before = Drops::read();
     let received = listen::listen(&plan, lasting, opened)?;
+    let after = Drops::read();
     let is_taken = (received.ports.iter()).any(|port| matches!(port.result, PortResult::Taken(_)));
     let daemon = match plan.health {
         Some(address) if is_taken => Some(health::ask(address)),
@@ -73,7 +76,10 @@ pub fn examine(
         }
         _ => None,
     };
-    let host = host::look(plan.root.as_deref());
+    let mut host = host::look(plan.root.as_deref());
+    host.drops = before
+        .zip(after)
+        .map(|(before, after)| after.since(&before));
     let mut seen = Observations {
         plan,
         seconds: lasting.as_secs_f64(),

@@ -7,7 +7,10 @@ use serde_json::Value;
 
 use super::plan::{ExaminedPort, ExpectedSensor, Plan};
 use crate::input::udp::ReceiveBuffer;
+use crate::network::Drops;
+pub use crate::network::Interface;
 use crate::sensor_settings::FieldOfView;
+use crate::strangers::Stranger;
 use crate::web_interface::Page;
 use sweepd_core::assemble::GpsDoubt;
 use sweepd_core::floor::Sight;
@@ -90,6 +93,14 @@ impl ObservedPort {
     pub fn is_open(&self) -> bool {
         matches!(self.result, PortResult::Open { .. })
     }
+
+    /// Senders of datagrams that are not packets of a sensor.
+    pub fn others(&self) -> &[Stranger] {
+        match &self.result {
+            PortResult::Open { others, .. } => others,
+            _ => &[],
+        }
+    }
 }
 
 /// The result of listening on a port.
@@ -101,8 +112,8 @@ pub enum PortResult {
         received: u64,
         /// Datagrams that the kernel dropped.
         dropped: u64,
-        /// Senders of datagrams that are not packets of a sensor, with counts.
-        others: Vec<(SocketAddr, u64)>,
+        /// Senders of datagrams that are not packets of a sensor, from the one that sends most.
+        others: Vec<Stranger>,
         /// The receive buffer.
         buffer: ReceiveBuffer,
     },
@@ -207,6 +218,8 @@ pub struct PositionSender {
 pub struct Host {
     /// Its interfaces, except loopback.
     pub interfaces: Vec<Interface>,
+    /// What its kernel dropped while this listened, if it tells.
+    pub drops: Option<Drops>,
     /// Value of net.core.rmem_max, bytes.
     pub rmem_max: Option<u64>,
     /// Bytes of shared memory: all, and free.
@@ -247,31 +260,6 @@ impl Host {
         } else {
             list.join(", ")
         }
-    }
-}
-
-/// An interface of this host.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Interface {
-    /// Its name.
-    pub name: String,
-    /// Whether it is switched on.
-    pub up: bool,
-    /// Whether something is at the other end of the cable; `None` if unknown.
-    pub carrier: Option<bool>,
-    /// Addresses and how many of their bits are those of the net.
-    pub addresses: Vec<(Ipv4Addr, u8)>,
-}
-
-impl Interface {
-    /// Whether an address is in one of its nets.
-    pub fn reaches(&self, address: Ipv4Addr) -> bool {
-        self.addresses.iter().any(|&(own, bits)| {
-            let mask = u32::MAX
-                .checked_shl(32 - u32::from(bits.min(32)))
-                .unwrap_or(0);
-            (u32::from(own) ^ u32::from(address)) & mask == 0
-        })
     }
 }
 

@@ -3,8 +3,8 @@
 
 use std::collections::HashMap;
 use std::net::SocketAddr;
-use std::ops::RangeInclusive;
 
+use crate::strangers::Form;
 use crate::text::{count_of, rate};
 use sweepd_core::wire::Datagram;
 
@@ -12,8 +12,6 @@ use sweepd_core::wire::Datagram;
 const MAX_FLOWS: usize = 1024;
 /// Most that are shown, the largest first.
 const SHOWN: usize = 8;
-/// Bytes of a payload in which formats have their marks.
-const HEAD_BYTES: usize = 4;
 
 /// The traffic that belongs to no sensor.
 #[derive(Default)]
@@ -26,11 +24,9 @@ pub struct Flows {
 /// From one sender to one port.
 struct Flow {
     datagrams: u64,
-    bytes: RangeInclusive<usize>,
+    form: Form,
     first_ns: i64,
     last_ns: i64,
-    /// The common first bytes of all payloads.
-    head: Vec<u8>,
 }
 
 impl Flows {
@@ -41,25 +37,16 @@ impl Flows {
             self.beyond += 1;
             return;
         }
-        let len = datagram.payload.len();
         let arrival_ns = datagram.arrival_ns;
         let flow = self.flows.entry(key).or_insert_with(|| Flow {
             datagrams: 0,
-            bytes: len..=len,
+            form: Form::of(datagram.payload),
             first_ns: arrival_ns,
             last_ns: arrival_ns,
-            head: datagram.payload[..len.min(HEAD_BYTES)].to_vec(),
         });
         flow.datagrams += 1;
         flow.last_ns = arrival_ns;
-        flow.bytes = len.min(*flow.bytes.start())..=len.max(*flow.bytes.end());
-        let same = flow
-            .head
-            .iter()
-            .zip(datagram.payload)
-            .take_while(|(a, b)| a == b)
-            .count();
-        flow.head.truncate(same);
+        flow.form.meet(datagram.payload);
     }
 
     /// A line for each of the largest flows, and one for the rest.
@@ -83,36 +70,14 @@ impl Flows {
 
 impl Flow {
     fn line(&self, source: SocketAddr, port: u16) -> String {
-        let least = self.bytes.start();
-        let most = self.bytes.end();
-        let bytes = if least == most {
-            format!("{most} bytes")
-        } else {
-            format!("{least} to {most} bytes")
-        };
+        let form = &self.form;
         let count = count_of(self.datagrams, "datagram");
         let rate = rate(self.datagrams, self.first_ns, self.last_ns);
-        let mut line = format!("{source} to port {port}: {count} of {bytes}{rate}");
-        if let Some(maker) = self.looks_like(source.port(), port) {
+        let mut line = format!("{source} to port {port}: {count} of {form}{rate}");
+        if let Some(maker) = form.lidar(source.port(), port) {
             line += &format!("; looks like {maker}");
         }
         line
-    }
-
-    /// The LiDAR that sends such datagrams by default, according to its maker's drivers.
-    fn looks_like(&self, source_port: u16, port: u16) -> Option<&'static str> {
-        let least = *self.bytes.start();
-        match (source_port, port) {
-            (_, 7502) if least >= 1000 => Some("an Ouster (its port for measurements)"),
-            (_, 7503) if least == 48 => Some("an Ouster (its port for inertial data)"),
-            (56300, _) if least >= 1000 => Some("a Livox Mid-360 (its port for points)"),
-            (57000, _) if least >= 1000 => Some("a Livox HAP (its port for points)"),
-            _ if self.head.starts_with(&[0xEE, 0xFF]) => Some("a Hesai (by its first bytes)"),
-            _ if self.head.starts_with(&[0x55, 0xAA]) && least == 1248 => {
-                Some("a RoboSense (by length and first bytes)")
-            }
-            _ => None,
-        }
     }
 }
 
@@ -172,10 +137,9 @@ mod tests {
 
     /// It has the marks of a Velodyne's blocks, in blocks of another length.
     #[test]
-    #[ignore = "it has no name"]
     fn a_pandar40p_is_recognised_by_its_length() {
         let payload = [&[0xFF, 0xEE, 0x10, 0x27][..], &[30; 1258]].concat();
-        let lines = flows(&[("10.0.0.3:10000", 2368, &payload); 3]);
+        let lines = flows(&[("10.0.0.3:10000", 2368, &payload[..]); 3]);
         assert!(
             lines[0].contains("looks like a Hesai Pandar40P"),
             "{lines:?}"

@@ -14,6 +14,7 @@ use serde_json::Value;
 use super::observe::{Observations, PortResult};
 use super::{Finding, Severity, Topic};
 use crate::daemon::counter_table::{Counter, OF_PORT, OF_SENSOR};
+use crate::strangers::{Cause, Stranger};
 use crate::{beams, floor};
 
 /// Least percentage of missing packets in a running daemon's last seconds that is reported.
@@ -79,21 +80,37 @@ fn ports(seen: &Observations, findings: &mut Findings) {
                 }
             },
             PortResult::Refused(why) => findings.error(Topic::Port, why, ""),
-            PortResult::Open { others, .. } => {
-                if let Some((from, _)) = others.first() {
-                    let count: u64 = others.iter().map(|(_, count)| count).sum();
-                    let what = format!(
-                        "{count} datagrams on port {number} are no packets of a Velodyne, the first from {from}"
-                    );
-                    let cure = "no harm is done; if they should be a sensor's, it is none that is supported, or damages its \
-                                packets";
-                    findings.warning(Topic::Foreign, what, cure);
-                }
-            }
+            PortResult::Open { others, .. } => foreign(seen, number, others, findings),
         }
     }
     if let Some(Ok(health)) = &seen.daemon {
         daemon(seen, health, findings);
+    }
+}
+
+/// Datagrams on a port that are no packets of a Velodyne: those of another LiDAR, else all.
+fn foreign(seen: &Observations, number: u16, others: &[Stranger], findings: &mut Findings) {
+    if let Some(lidar) = others.iter().find(|one| one.is_other_lidar()) {
+        // Where no sensor is named, it is what was waited for.
+        let severity = match seen.plan.sensors.is_empty() && seen.sensors.is_empty() {
+            true => Severity::Error,
+            false => Severity::Warning,
+        };
+        let Cause { what, cure } = lidar.not_velodyne();
+        findings.add(
+            severity,
+            Topic::Foreign,
+            format!("port {number}: {what}"),
+            cure,
+        );
+    } else if let Some(first) = others.first() {
+        let count: u64 = others.iter().map(|one| one.datagrams).sum();
+        let what = format!(
+            "{count} datagrams on port {number} are no packets of a Velodyne, the first from {}",
+            first.source
+        );
+        let cure = "no harm is done; if they should be a sensor's, it is none that is supported, or damages its packets";
+        findings.warning(Topic::Foreign, what, cure);
     }
 }
 

@@ -5,10 +5,12 @@ use std::net::{IpAddr, Ipv4Addr};
 use serde_json::Value;
 
 use super::{Findings, clean, elements, serves};
-use crate::doctor::observe::{Interface, Observations, PortResult, Web};
-use crate::doctor::plan::ExpectedSensor;
+use crate::doctor::observe::{Observations, PortResult, Web};
+use crate::doctor::plan::{ExpectedSensor, ipv4};
 use crate::doctor::{Finding, Topic};
+use crate::network::wiring;
 use crate::sensor_settings::Switch;
+use crate::strangers::{Cause, Sends, Sought, Stranger};
 
 pub(super) fn find(seen: &Observations, findings: &mut Findings) {
     // A daemon reports itself what it receives.
@@ -56,6 +58,10 @@ fn misplaced(seen: &Observations, expected: &ExpectedSensor, findings: &mut Find
 /// No packet came, and no sensor is configured. If a daemon with ports of its own runs, it receives
 /// the packets.
 fn no_sensor(seen: &Observations, findings: &mut Findings) {
+    let mut others = seen.ports.iter().flat_map(|port| port.others());
+    if others.any(Stranger::is_other_lidar) {
+        return;
+    }
     let Some(Ok(health)) = &seen.daemon else {
         return nothing(seen, None, findings);
     };
@@ -111,7 +117,7 @@ fn position_only(seen: &Observations, address: IpAddr, packets: u64, findings: &
 
 /// Nothing came, from one sensor or from any.
 fn nothing(seen: &Observations, expected: Option<&ExpectedSensor>, findings: &mut Findings) {
-    let what = match expected {
+    let mut what = match expected {
         Some(ExpectedSensor {
             name,
             address,
@@ -132,12 +138,49 @@ fn nothing(seen: &Observations, expected: Option<&ExpectedSensor>, findings: &mu
         None => seen.web.first(),
     };
     let address = expected.map(|expected| expected.address);
-    let cure = cure_of_silence(seen, &seen.port_list(), address, web).join("\n");
-    findings.error(Topic::Silent, what, cure);
+    let mut steps = cure_of_silence(seen, &seen.port_list(), address, web);
+    if let Some(cause) = expected.and_then(|expected| instead(seen, expected)) {
+        what += &format!(", but {}", cause.what);
+        // It may be another's: then the other steps are left.
+        steps.insert(0, cause.cure);
+    } else if let Some(drops) = &seen.host.drops
+        && let Some(cause) = drops.cause(seen.seconds, address.and_then(ipv4_of))
+    {
+        what += &format!(", but {}", cause.what);
+        steps = vec![cause.cure];
+    }
+    findings.error(Topic::Silent, what, steps.join("\n"));
+}
+
+/// What comes in place of a sensor.
+fn instead(seen: &Observations, expected: &ExpectedSensor) -> Option<Cause> {
+    let mut strangers = Vec::new();
+    for sensor in &seen.sensors {
+        let stranger = Stranger {
+            source: sensor.source,
+            sends: Sends::Data(sensor.model),
+            datagrams: sensor.counts.data,
+        };
+        strangers.push((sensor.port, stranger));
+    }
+    for port in &seen.ports {
+        let others = port.others().iter().cloned();
+        strangers.extend(others.map(|one| (port.plan.port, one)));
+    }
+    let known: Vec<IpAddr> = seen.plan.sensors.iter().map(|one| one.address).collect();
+    let sought = Sought {
+        address: expected.address,
+        port: expected.port,
+    };
+    sought.instead(&strangers, &known)
+}
+
+fn ipv4_of(address: IpAddr) -> Option<Ipv4Addr> {
+    ipv4([address].into_iter()).next()
 }
 
 /// The same of a sensor that a running daemon hears nothing of: its cures are those that are told
-/// without a daemon. Any other finding stays as it is.
+/// without a daemon, after that of a cause which the daemon knows. Any other finding stays as it is.
 pub(super) fn beside(seen: &Observations, health: &Value, mut finding: Finding) -> Finding {
     if finding.topic != Topic::Silent {
         return finding;
@@ -153,7 +196,12 @@ pub(super) fn beside(seen: &Observations, health: &Value, mut finding: Finding) 
     let address: Option<IpAddr> = address.and_then(|text| text.parse().ok());
     let port = sensor["port"].to_string();
     let web = address.and_then(|address| seen.web_at(address));
-    finding.cure = cure_of_silence(seen, &port, address, web).join("\n");
+    let mut steps = cure_of_silence(seen, &port, address, web);
+    // The daemon asks where it knows no cause.
+    if !finding.cure.ends_with('?') {
+        steps.insert(0, finding.cure);
+    }
+    finding.cure = steps.join("\n");
     finding
 }
 
@@ -174,13 +222,11 @@ fn cure_of_silence(
             format!("http://{address}/")
         }
         None => {
-            steps.extend(wiring(
-                &seen.host.interfaces,
-                address.and_then(|address| match address {
-                    IpAddr::V4(address) => Some(address),
-                    IpAddr::V6(_) => None,
-                }),
-            ));
+            steps.push("check that the sensor has power and its cable is plugged in".to_owned());
+            let mut alone = seen.ports.iter().map(|port| port.plan.interface.as_deref());
+            let address = address.and_then(ipv4_of);
+            let causes = wiring(&seen.host.interfaces, address, alone.next().flatten());
+            steps.extend(causes.iter().map(Cause::to_string));
             "the sensor's web page".to_owned()
         }
     };
@@ -201,31 +247,5 @@ fn cure_of_silence(
          `tcpdump -ni INTERFACE udp` shows packets that it drops"
             .to_owned(),
     );
-    steps
-}
-
-/// What may be wrong between this host and a sensor that does not answer.
-fn wiring(interfaces: &[Interface], sensor: Option<Ipv4Addr>) -> Vec<String> {
-    let mut steps = vec!["check that the sensor has power and its cable is plugged in".to_owned()];
-    for one in interfaces {
-        let name = &one.name;
-        if !one.up {
-            steps.push(format!("interface {name} is down: `ip link set {name} up`"));
-        } else if one.carrier == Some(false) {
-            steps.push(format!(
-                "interface {name} has no carrier: nothing at the other end of its cable"
-            ));
-        }
-    }
-    if let Some(sensor) = sensor.filter(|sensor| !sensor.is_loopback())
-        && !interfaces.iter().any(|one| one.reaches(sensor))
-    {
-        let [a, b, c, d] = sensor.octets();
-        let other = if d == 100 { 101 } else { 100 };
-        steps.push(format!(
-            "this host has no address in the net of {sensor}: give the interface at the sensor one, such as \
-             `ip address add {a}.{b}.{c}.{other}/24 dev INTERFACE`"
-        ));
-    }
     steps
 }

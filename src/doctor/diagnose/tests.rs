@@ -10,9 +10,11 @@ use crate::doctor::observe::{
 };
 use crate::doctor::plan::{ExaminedPort, ExpectedSensor, HEALTH, Plan};
 use crate::input::udp::ReceiveBuffer;
+use crate::network::Drops;
 use crate::sensor_settings::{
     FieldOfView, Host as Destination, PhaseLock, Port, Returns, Rpm, Settings, Switch,
 };
+use crate::strangers::{Form, Sends};
 use crate::web_interface::Page;
 use sweepd_core::assemble::GpsDoubt;
 use sweepd_core::floor::{Floor, Sight};
@@ -109,6 +111,7 @@ fn healthy() -> Observations {
         }],
         host: Host {
             interfaces: vec![interface],
+            drops: None,
             rmem_max: Some(4_194_304),
             shared: Some((8 << 30, 7 << 30)),
             root_trouble: None,
@@ -284,6 +287,36 @@ fn silence_comes_with_what_to_check() {
         Topic::Silent,
         &["misses broadcasts"],
     );
+}
+
+#[test]
+fn silence_has_the_cause_that_this_host_knows() {
+    let mut seen = silent();
+    seen.host.drops = Some(Drops {
+        reverse_path: 2_206,
+        uncounted: 0,
+    });
+    let told = [
+        "nothing came from 192.168.1.201",
+        "reverse path filter",
+        "ip address add 192.168.1.100/24",
+    ];
+    is_only(&seen, Severity::Error, Topic::Silent, &told);
+    assert!(!diagnose(&seen)[0].cure.contains("power"));
+    seen.host.drops = Some(Drops {
+        reverse_path: 9,
+        uncounted: 2_206,
+    });
+    let told = ["as a firewall does", "nft list ruleset"];
+    is_only(&seen, Severity::Error, Topic::Silent, &told);
+    seen.sensors = vec![sensor("192.168.1.203:2368")];
+    let told = [
+        "data packets of model VLP-16 come from 192.168.1.203",
+        "set `address = \"192.168.1.203\"`",
+    ];
+    let findings = diagnose(&seen);
+    let silence = findings.iter().find(|one| one.topic == Topic::Silent);
+    holds(silence.unwrap(), Severity::Error, Topic::Silent, &told);
 }
 
 #[test]
@@ -706,7 +739,11 @@ fn senders_that_are_not_configured_are_named() {
     );
     let noise = |seen: &mut Observations| {
         if let PortResult::Open { others, .. } = &mut seen.ports[0].result {
-            others.push((SocketAddr::from(([10, 1, 1, 1], 5000)), 17));
+            others.push(Stranger {
+                source: SocketAddr::from(([10, 1, 1, 1], 5000)),
+                sends: Sends::Others(Form::of(&[0; 100]), None),
+                datagrams: 17,
+            });
         }
     };
     with(

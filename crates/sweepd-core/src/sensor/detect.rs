@@ -546,8 +546,6 @@ impl Intervals {
     }
 }
 
-/// The model of a product byte; `None` if it is blank. A Puck LITE reports that of a VLP-16. The
-/// manual gives a VLS-128 another byte than real ones send.
 /// The model that a factory byte says; `None` where it is blank or unknown.
 pub fn model_of(product: u8) -> Option<Model> {
     model_of_product(product).ok().flatten()
@@ -563,6 +561,8 @@ pub fn has_other_beams(given: Model, product: u8) -> bool {
     product != 0 && own.is_some() && !is_early && !is_own
 }
 
+/// The model of a product byte; `None` if it is blank. A Puck LITE reports that of a VLP-16. The
+/// manual gives a VLS-128 another byte than real ones send.
 fn model_of_product(product: u8) -> Result<Option<Model>, DetectError> {
     if product == 0 {
         return Ok(None);
