@@ -14,6 +14,9 @@ use sweepd_core::sensor::model::Spec;
 use sweepd_core::sensor::{Calibration, Model, ModelExt};
 use sweepd_core::wire::data::ReturnMode;
 
+/// How long a restart takes, nanoseconds.
+const STARTING_NS: i64 = 3_000_000_000;
+
 /// A sensor and what it is connected to.
 #[derive(Clone, Debug)]
 pub struct EmitterConfig {
@@ -50,6 +53,8 @@ pub struct EmitterConfig {
     pub clock: Clock,
     /// A step of its clock.
     pub clock_step: Option<ClockStep>,
+    /// For how long it works before it restarts, again and again, nanoseconds.
+    pub restart_ns: Option<i64>,
     /// What is wrong with the time of its receiver, and when.
     pub receiver_fault: Option<(ReceiverFault, Reception)>,
     /// UTC of the first shot, nanoseconds since 1970.
@@ -89,6 +94,7 @@ impl EmitterConfig {
             optics: Optics::of(model),
             clock: Clock::Free { hour_ns: 0 },
             clock_step: None,
+            restart_ns: None,
             receiver_fault: None,
             // 2026-05-04 10:00:00 UTC.
             start_utc_ns: 1_777_888_800_000_000_000,
@@ -155,9 +161,22 @@ impl EmitterConfig {
         let step = self.clock_step.filter(|step| elapsed_ns >= step.at_ns);
         self.clock.stamp_us(
             self.start_utc_ns,
-            elapsed_ns,
+            self.since_start_ns(elapsed_ns),
             step.map_or(0, |step| step.by_ns),
         )
+    }
+
+    /// The same since its newest start.
+    fn since_start_ns(&self, elapsed_ns: i64) -> i64 {
+        match self.restart_ns {
+            Some(works_ns) => elapsed_ns.rem_euclid(works_ns + STARTING_NS),
+            None => elapsed_ns,
+        }
+    }
+
+    /// Whether it restarts, and sends nothing, this long after the first shot of all.
+    pub(super) fn is_restarting(&self, elapsed_ns: i64) -> bool {
+        (self.restart_ns).is_some_and(|works_ns| self.since_start_ns(elapsed_ns) >= works_ns)
     }
 
     /// Where it is this long after its first shot, seconds.

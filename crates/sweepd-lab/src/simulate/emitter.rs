@@ -291,7 +291,13 @@ impl Iterator for Emitter<'_> {
         if let Some(position) = self.position.take() {
             return Some(position);
         }
-        let times = self.schedule.next(&self.config)?;
+        let mut times = self.schedule.next(&self.config)?;
+        while [times.firing_ns(0, &self.config), times.end_ns]
+            .iter()
+            .any(|&at_ns| self.config.is_restarting(at_ns))
+        {
+            times = self.schedule.next(&self.config)?;
+        }
         // Each packet has its own random generator, so that it does not depend on earlier ones.
         let mut rng =
             Rng::with_seed(self.config.seed ^ times.ordinal.wrapping_mul(0x9E37_79B9_7F4A_7C15));

@@ -659,3 +659,31 @@ fn datagrams_of_every_model_arrive_one_after_the_other() {
         }
     }
 }
+
+/// Twice silent for 3 s, after each second of work.
+#[test]
+fn a_sensor_that_restarts_is_silent_and_its_clock_begins_anew() {
+    let scene = Scene::new([0.0; 2], 20);
+    let mut config = EmitterConfig::new(Model::Vlp16, ReturnMode::Strongest).seconds(9.5, None);
+    config.restart_ns = Some(1_000_000_000);
+    let start_ns = config.start_utc_ns;
+    let mut sent = Vec::new();
+    for datagram in Emitter::new(config, &scene).untold() {
+        if datagram.payload.len() == 1206 {
+            let stamp = datagram.payload[1200..1204].try_into().unwrap();
+            sent.push((datagram.arrival_ns - start_ns, u32::from_le_bytes(stamp)));
+        }
+    }
+    let starts: Vec<_> = sent
+        .windows(2)
+        .filter(|two| two[1].0 - two[0].0 > 2_990_000_000)
+        .collect();
+    assert_eq!(starts.len(), 2);
+    for two in starts {
+        assert!(two[0].1 > 995_000 && two[1].1 < 2_000, "{two:?}");
+    }
+    assert!(
+        sent.iter()
+            .all(|&(elapsed_ns, _)| elapsed_ns % 4_000_000_000 < 1_001_000_000)
+    );
+}

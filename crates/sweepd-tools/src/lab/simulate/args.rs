@@ -294,7 +294,7 @@ pub struct CloudOptions {
     #[arg(
         long,
         value_name = "FILE.bin",
-        conflicts_with_all = ["models", "scene", "height", "pitch", "roll", "returns", "velocity", "turn_rate", "spin_up", "stall", "mode_switch", "new_rpm", "fov", "clock_step", "exchange"]
+        conflicts_with_all = ["models", "scene", "height", "pitch", "roll", "returns", "velocity", "turn_rate", "spin_up", "stall", "mode_switch", "new_rpm", "fov", "clock_step", "restart", "exchange"]
     )]
     pub(super) from_cloud: Option<PathBuf>,
     /// Fit each beam's elevation and vertical offset to the scan, and write that calibration for
@@ -436,7 +436,11 @@ impl Args {
                 velocity: self.velocity,
                 turn_rad_s: self.turn_rate.to_radians(),
             };
-            config.clock = self.gps.clock();
+            config.restart_ns = self.faults.restart_ns();
+            config.clock = match config.restart_ns {
+                Some(_) => Clock::Free { hour_ns: 0 },
+                None => self.gps.clock(),
+            };
             config.receiver_fault = self.gps_fault;
             config.start_utc_ns = start_utc_ns;
             config.address = Ipv4Addr::new(192, 168, 1, 201 + number as u8);

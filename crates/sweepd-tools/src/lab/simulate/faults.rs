@@ -66,6 +66,13 @@ pub struct FaultOptions {
     /// back
     #[arg(long, value_name = "SECONDS@AT", value_parser = clock_step, allow_negative_numbers = true)]
     pub clock_step: Option<ClockStep>,
+    /// Restart after each so many seconds of work: silent for 3 s, then with a clock that begins anew,
+    /// without GPS
+    #[arg(
+        long, value_name = "SECONDS", value_parser = within(1.0..=86_400.0, "seconds"),
+        conflicts_with_all = ["gps", "gps_fault", "clock_step"], allow_negative_numbers = true
+    )]
+    pub restart: Option<f64>,
     /// Exchange the addresses of the first two sensors after this time
     #[arg(long, value_name = "SECONDS", value_parser = within(DAY_S, "seconds"), allow_negative_numbers = true)]
     pub exchange: Option<f64>,
@@ -248,6 +255,7 @@ impl FaultOptions {
                 self.clock_step.map(|step| step.at_ns as f64 * 1e-9),
             ),
             ("--exchange", self.exchange),
+            ("--restart", self.restart),
         ];
         for (flag, moment) in moments {
             if let Some(moment) = moment.filter(|&moment| moment >= seconds) {
@@ -264,6 +272,11 @@ impl FaultOptions {
     pub fn is_exchanged(&self, elapsed_ns: i64) -> bool {
         self.exchange
             .is_some_and(|at| elapsed_ns >= nanoseconds(at))
+    }
+
+    /// How long the sensors work before they restart, nanoseconds.
+    pub fn restart_ns(&self) -> Option<i64> {
+        self.restart.map(nanoseconds)
     }
 
     /// What the network does.
