@@ -3,14 +3,14 @@
 use sweepd_core::assemble::GpsDoubt;
 use sweepd_core::wire::nmea::NmeaError;
 
+use crate::judge::{Finding, Severity, Topic};
 use crate::text::utc_text;
 
 /// This program is no older, nanoseconds since 1970: 2026-11-25. An earlier clock of a host is not
 /// set. Raised with a release.
 pub const RELEASED_NS: i64 = 1_795_564_800_000_000_000;
 
-/// What is doubtful.
-pub fn sentence(doubt: &GpsDoubt) -> String {
+fn sentence(doubt: &GpsDoubt) -> String {
     match *doubt {
         GpsDoubt::Frozen { said_ns } => format!(
             "the GPS receiver repeats {} while the sensor's clock goes on: its time is not used",
@@ -37,8 +37,7 @@ pub fn sentence(doubt: &GpsDoubt) -> String {
     }
 }
 
-/// What to do about it.
-pub fn cure(doubt: &GpsDoubt) -> &'static str {
+fn cure(doubt: &GpsDoubt) -> &'static str {
     match doubt {
         GpsDoubt::Frozen { .. } => "look at the wire of its sentences, or switch it off and on",
         GpsDoubt::Unset { .. } => "give its antenna a view of the sky",
@@ -51,9 +50,14 @@ pub fn cure(doubt: &GpsDoubt) -> &'static str {
     }
 }
 
-/// Both in one sentence.
-pub fn explain(doubt: &GpsDoubt) -> String {
-    format!("{}; {}", sentence(doubt), cure(doubt))
+/// What is doubtful, and what to do about it.
+pub fn finding(doubt: &GpsDoubt) -> Finding {
+    Finding::new(
+        Severity::Warning,
+        Topic::Clock,
+        sentence(doubt),
+        cure(doubt),
+    )
 }
 
 /// What to do about a sentence that cannot be read.

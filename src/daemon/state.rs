@@ -1,9 +1,12 @@
 //! State of a sensor: derives it from counts, and a message from each change. Pure: time is an
 //! input.
 
-use std::collections::VecDeque;
+mod changes;
+
 use std::fmt;
 use std::time::Duration;
+
+use changes::Changes;
 
 use super::losses::{Level, Limits, Losses, Recent, SensorAddress, Tally, Turn};
 use crate::judge::{Finding, Remark, Severity, Topic};
@@ -28,10 +31,6 @@ const TELL_EVERY: Duration = Duration::from_secs(60);
 /// withdrawn within half of that.
 const RPM_TOLERANCE: f32 = 0.05;
 
-/// How long restarts, jumps of the clock and changes of the model are remembered.
-const RECENTLY: Duration = Duration::from_secs(600);
-/// Most of each that are remembered.
-const REMEMBERED: usize = 100;
 /// Packets that come twice are told from this share of the recent ones on.
 const MANY_DUPLICATES: f64 = 0.01;
 
@@ -122,31 +121,6 @@ pub struct Facts {
     pub pulse: Option<(Pps, Option<bool>)>,
     /// Whether it leaves out a part of each turn.
     pub is_view_limited: bool,
-}
-
-/// How often something happened over the last [`RECENTLY`].
-#[derive(Clone, Debug, Default)]
-struct Recurrence {
-    count: u64,
-    /// When, the oldest first; no more than [`REMEMBERED`].
-    times: VecDeque<Duration>,
-}
-
-impl Recurrence {
-    /// Takes the count so far, and gives how often it grew lately, if that is more than once.
-    fn observe(&mut self, now: Duration, count: u64) -> Option<usize> {
-        // Another sensor is counted anew.
-        let more = count.saturating_sub(std::mem::replace(&mut self.count, count));
-        for _ in 0..more.min(REMEMBERED as u64) {
-            self.times.push_back(now);
-        }
-        while self.times.len() > REMEMBERED
-            || (self.times.front()).is_some_and(|&first| now - first > RECENTLY)
-        {
-            self.times.pop_front();
-        }
-        Some(self.times.len()).filter(|&times| times > 1)
-    }
 }
 
 /// State of the sensor from a sweep.
@@ -243,11 +217,7 @@ pub struct Watcher {
     remarks: Vec<Remark>,
     /// What is wrong with its calibration.
     calibration: Option<Remark>,
-    restarts: Recurrence,
-    clock_jumps: Recurrence,
-    exchanges: Recurrence,
-    /// The model of the newest sweep at the observation before.
-    told_model: Option<Model>,
+    changes: Changes,
     /// Model and mode as last logged.
     told: Option<(Model, ReturnMode)>,
 }
@@ -282,10 +252,7 @@ impl Watcher {
             time: (TimeSource::Host, None),
             remarks: Vec::new(),
             calibration: None,
-            restarts: Recurrence::default(),
-            clock_jumps: Recurrence::default(),
-            exchanges: Recurrence::default(),
-            told_model: None,
+            changes: Changes::default(),
             told: None,
         }
     }
@@ -414,15 +381,7 @@ impl Watcher {
                 beams::CURE,
             ));
         }
-        if let Some(doubt) = &self.time.1 {
-            let what = gps::sentence(doubt);
-            all.push(Finding::new(
-                Severity::Warning,
-                Topic::Clock,
-                what,
-                gps::cure(doubt),
-            ));
-        }
+        all.extend(self.time.1.as_ref().map(gps::finding));
         all
     }
 
@@ -456,18 +415,10 @@ impl Watcher {
 
     fn remarks_of(&mut self, now: &Observation) -> Vec<Remark> {
         let facts = &now.facts;
-        let within = RECENTLY;
-        let exchanged = self.exchanges.count + self.is_exchanged(now);
-        let restarts = self.restarts.observe(now.now, facts.restarts);
-        let clock_jumps = self.clock_jumps.observe(now.now, facts.clock_jumps);
-        let exchanges = self.exchanges.observe(now.now, exchanged);
-        let mut remarks = Vec::new();
-        remarks.extend(restarts.map(|times| Remark::Restarts { times, within }));
-        remarks.extend(exchanges.map(|times| Remark::Exchanges { times, within }));
+        let mut remarks = self.changes.observe(now);
         if matches!(self.state, State::Waiting | State::Stalled) {
             return remarks;
         }
-        remarks.extend(clock_jumps.map(|times| Remark::ClockJumps { times, within }));
         remarks.extend(self.calibration);
         let model = now.running.map(|running| running.model);
         if let Some((given, product)) = model.zip(facts.other_product) {
@@ -493,12 +444,6 @@ impl Watcher {
             remarks.push(Remark::LimitedView);
         }
         remarks
-    }
-
-    /// 1 where sweeps are of another model than those before, else 0.
-    fn is_exchanged(&self, now: &Observation) -> u64 {
-        let told = self.told_model.zip(now.running);
-        u64::from(told.is_some_and(|(told, running)| told != running.model))
     }
 
     /// The pipeline reports why it decodes nothing. The message for the log comes with the next
@@ -566,7 +511,6 @@ impl Watcher {
         }
         messages.extend(self.observe_losses(now));
         messages.extend(self.remark(now));
-        self.told_model = now.running.map(|running| running.model).or(self.told_model);
         messages
     }
 
@@ -606,7 +550,7 @@ impl Watcher {
         let mut messages = Vec::new();
         match doubt {
             Some(doubt) if was_doubt.is_none_or(|was| !was.is_kind_of(&doubt)) => {
-                messages.push(self.message(true, &gps::explain(&doubt)));
+                messages.push(self.message(true, &gps::finding(&doubt).to_string()));
             }
             None if was_doubt.is_some() => {
                 messages.push(self.message(false, "the GPS receiver is no longer in doubt"));
@@ -808,528 +752,4 @@ fn no_sweep() -> Finding {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::sensor_settings::{Returns, Rpm};
-    use sweepd_core::floor::Floor;
-
-    const RUNNING: Running = Running {
-        model: Model::Vlp16,
-        rpm: 599.6,
-        return_mode: ReturnMode::Strongest,
-        fov: Some(FieldOfView::WHOLE),
-    };
-
-    /// A sensor that is observed ten times a second.
-    struct Watched {
-        watcher: Watcher,
-        seen: Observation,
-    }
-
-    impl Watched {
-        fn new(rpm: Option<u16>) -> Self {
-            let want = Settings {
-                rpm: rpm.map(Rpm),
-                ..Settings::default()
-            };
-            let place = SensorAddress {
-                address: "192.168.1.201".to_owned(),
-                port: Some(2368),
-                sensors: 1,
-            };
-            Self {
-                watcher: Watcher::new("roof", place, want, Limits::default(), Duration::ZERO),
-                seen: Observation::default(),
-            }
-        }
-
-        /// Observes for this many tenths of a second, with this many packets and sweeps in each.
-        fn observe(&mut self, tenths: u32, data: u64, sweeps: u64) -> Vec<String> {
-            let mut texts = Vec::new();
-            for _ in 0..tenths {
-                self.seen.now += Duration::from_millis(100);
-                self.seen.data += data;
-                self.seen.steady_sweeps += sweeps;
-                self.seen.running =
-                    (self.seen.steady_sweeps > 0).then(|| self.seen.running.unwrap_or(RUNNING));
-                texts.extend(
-                    self.watcher
-                        .observe(&self.seen)
-                        .into_iter()
-                        .map(|message| message.text),
-                );
-            }
-            texts
-        }
-
-        fn turn(&mut self, running: Running) {
-            self.seen.running = Some(running);
-        }
-    }
-
-    #[test]
-    fn each_change_of_a_sensors_state_is_logged_once() {
-        let mut roof = Watched::new(None);
-        let silence = "roof: no packets from 192.168.1.201 on port 2368 for 2 s: is it powered, and is this host its \
-                       destination?";
-        assert_eq!(roof.observe(19, 0, 0), [""; 0]);
-        assert_eq!(roof.observe(100, 0, 0), [silence]);
-        assert_eq!(roof.watcher.state(), State::Waiting);
-        let spinning = "roof: packets arrive from 192.168.1.201, waiting for its first whole turn";
-        assert_eq!(roof.observe(100, 75, 0), [spinning]);
-        assert!(roof.watcher.complaint().is_some());
-        let streaming = "roof: streaming, VLP-16 at 600 rpm, one return";
-        assert_eq!(roof.observe(100, 75, 1), [streaming]);
-        assert_eq!(
-            (roof.watcher.state(), roof.watcher.complaint()),
-            (State::Streaming, None)
-        );
-        // The last turn is not complete.
-        assert_eq!(roof.observe(1, 37, 0), [""; 0]);
-        let stalled = "roof: no packets from 192.168.1.201 on port 2368 for 2 s, though they came before: has it lost its power or \
-                       its cable, or was its destination changed?";
-        assert_eq!(roof.observe(50, 0, 0), [stalled]);
-        assert_eq!(roof.watcher.state(), State::Stalled);
-        assert_eq!(roof.observe(5, 75, 0), [spinning]);
-        assert_eq!(roof.observe(5, 75, 1), [streaming]);
-    }
-
-    #[test]
-    fn why_no_packets_come_is_logged_when_it_is_known_and_once_a_minute_at_most() {
-        let mut roof = Watched::new(None);
-        assert_eq!(roof.observe(30, 0, 0).len(), 1);
-        for (why, told) in [("one", 1), ("one", 0), ("another", 0)] {
-            let (what, cure) = (why.to_owned(), "change it".to_owned());
-            roof.watcher.explain_silence(Some(Cause { what, cure }));
-            let silence = format!(
-                "roof: no packets from 192.168.1.201 on port 2368 for 2 s: {why}: change it"
-            );
-            let expected = vec![silence.clone(); told];
-            assert_eq!(roof.observe(100, 0, 0), expected);
-            assert_eq!(
-                silence.strip_prefix("roof: "),
-                roof.watcher.complaint().as_deref()
-            );
-        }
-        assert_eq!(roof.observe(600, 0, 0).len(), 1);
-        // A new stall has the reason with it.
-        roof.observe(10, 75, 1);
-        assert!(roof.observe(50, 0, 0)[0].ends_with(": another: change it"));
-    }
-
-    #[test]
-    fn a_head_that_stops_is_reported_and_a_short_slowdown_is_not() {
-        let mut roof = Watched::new(None);
-        roof.observe(10, 75, 1);
-        assert_eq!(roof.observe(15, 75, 0), [""; 0]);
-        assert_eq!(roof.observe(1, 75, 1), [""; 0]);
-        assert_eq!(roof.observe(40, 75, 0), [format!("roof: {}", no_sweep())]);
-        assert_eq!(roof.watcher.state(), State::SpinningUp);
-    }
-
-    #[test]
-    fn a_wrong_model_is_reported_again_only_when_the_reason_changes() {
-        let mut roof = Watched::new(None);
-        roof.observe(1, 75, 0);
-        for expected in [&["roof: this is a VLS-128"][..], &[], &[]] {
-            roof.watcher.refused("this is a VLS-128".to_owned());
-            assert_eq!(roof.observe(20, 75, 0), expected);
-            assert_eq!(
-                roof.watcher.complaint().as_deref(),
-                Some("this is a VLS-128")
-            );
-            assert_eq!(roof.watcher.state(), State::WrongModel);
-        }
-        roof.watcher.refused("this is something else".to_owned());
-        assert_eq!(roof.observe(20, 75, 0), ["roof: this is something else"]);
-        assert_eq!(
-            roof.observe(1, 75, 1),
-            ["roof: streaming, VLP-16 at 600 rpm, one return"]
-        );
-    }
-
-    #[test]
-    fn the_calibration_is_awaited_and_then_it_streams() {
-        let mut roof = Watched::new(None);
-        roof.watcher.awaits_calibration();
-        assert_eq!(
-            roof.observe(5, 300, 0),
-            [format!("roof: {}", no_calibration())]
-        );
-        assert_eq!(roof.watcher.state(), State::NoCalibration);
-        roof.watcher.unhindered();
-        assert_eq!(roof.observe(5, 300, 0).len(), 1);
-        assert_eq!(roof.watcher.state(), State::SpinningUp);
-    }
-
-    #[test]
-    fn another_mode_or_model_is_reported_and_a_drifting_speed_is_not() {
-        let mut roof = Watched::new(None);
-        roof.observe(1, 75, 1);
-        roof.turn(Running {
-            rpm: 580.0,
-            ..RUNNING
-        });
-        assert_eq!(roof.observe(5, 75, 1), [""; 0]);
-        roof.turn(Running {
-            return_mode: ReturnMode::Dual,
-            ..RUNNING
-        });
-        assert_eq!(
-            roof.observe(5, 75, 1),
-            ["roof: streaming, VLP-16 at 600 rpm, two returns"]
-        );
-        roof.turn(Running {
-            model: Model::Hdl32e,
-            ..RUNNING
-        });
-        assert_eq!(
-            roof.observe(5, 75, 1),
-            ["roof: streaming, HDL-32E at 600 rpm, one return"]
-        );
-    }
-
-    #[test]
-    fn a_wrong_speed_is_reported_once_and_is_a_fault_of_the_sensor() {
-        let mut roof = Watched::new(Some(600));
-        assert_eq!(roof.observe(5, 75, 1).len(), 1);
-        roof.turn(Running {
-            rpm: 540.0,
-            ..RUNNING
-        });
-        let off = "turns at 540 rpm, [sensor.want] says 600: change one of the two";
-        assert_eq!(roof.observe(5, 75, 1), [format!("roof: {off}")]);
-        assert_eq!(roof.watcher.complaint().as_deref(), Some(off));
-        roof.turn(Running {
-            rpm: 575.0,
-            ..RUNNING
-        });
-        assert_eq!(
-            roof.observe(5, 75, 1),
-            [""; 0],
-            "within what is told, but not back yet"
-        );
-        roof.turn(RUNNING);
-        assert_eq!(
-            roof.observe(5, 75, 1),
-            ["roof: turns at 600 rpm again, as it is set to"]
-        );
-        assert_eq!(roof.watcher.complaint(), None);
-    }
-
-    #[test]
-    fn other_settings_than_wanted_are_a_warning_and_logged_once() {
-        let mut roof = Watched::new(None);
-        roof.watcher.expect(Settings {
-            returns: Some(Returns(ReturnMode::Strongest)),
-            fov: Some(FieldOfView::WHOLE),
-            ..Settings::default()
-        });
-        assert_eq!(roof.observe(5, 75, 1).len(), 1);
-        roof.turn(Running {
-            fov: "270-90".parse().ok(),
-            ..RUNNING
-        });
-        let unlike = "measures from 270-90 degrees, wanted is 0-359";
-        assert_eq!(roof.observe(5, 75, 1), [format!("roof: {unlike}")]);
-        roof.turn(Running {
-            fov: "270-91".parse().ok(),
-            ..RUNNING
-        });
-        let no_news: [&str; 0] = [];
-        assert_eq!(roof.observe(1, 75, 1), no_news);
-        roof.turn(Running {
-            fov: "270-90".parse().ok(),
-            ..RUNNING
-        });
-        assert_eq!(roof.observe(1, 75, 1), no_news);
-        let is = roof.watcher.condition();
-        assert_eq!((is.state, is.is_fault), (State::Streaming, false));
-        assert_eq!(
-            is.complaint,
-            Some(format!("{unlike}: change one of the two"))
-        );
-        roof.turn(RUNNING);
-        assert_eq!(roof.observe(5, 75, 1), ["roof: is set as wanted again"]);
-        assert_eq!(roof.watcher.complaint(), None);
-    }
-
-    #[test]
-    fn position_packets_alone_are_no_silence() {
-        let mut roof = Watched::new(None);
-        roof.seen.position = 5;
-        let told = roof.observe(30, 0, 0);
-        assert_eq!(told.len(), 1);
-        assert!(
-            told[0].contains("only position packets from 192.168.1.201"),
-            "{told:?}"
-        );
-    }
-
-    /// Seconds of a sensor that streams and loses this many packets for each 75 that come.
-    fn lose(roof: &mut Watched, seconds: u32, lost: u64) -> Vec<String> {
-        let mut told = Vec::new();
-        for _ in 0..10 * seconds {
-            roof.seen.tally.data += 75;
-            roof.seen.tally.lost += lost;
-            told.extend(roof.observe(1, 75, 1));
-        }
-        told
-    }
-
-    #[test]
-    fn a_floor_is_told_with_the_mount_that_it_gives() {
-        let mut roof = Watched::new(None);
-        let told = roof.watcher.see_floor(Sight::NoFloor, Mount::default());
-        assert!(!told.is_warning && told.text.starts_with("roof: no floor"));
-        let floor = Floor {
-            height_m: 0.4,
-            pitch_rad: (-10_f32).to_radians(),
-            roll_rad: 0.0,
-            height_spread_m: 0.001,
-            pitch_spread_rad: 0.0,
-            roll_spread_rad: 0.0,
-            sweeps: 15,
-            looks: 15,
-        };
-        let line =
-            "mount = { height_m = 0.400, pitch_deg = -10.0, roll_deg = 0.0 }  # spread 0.001 m";
-        for (set, is_warning) in [(floor.mount(), false), (Mount::default(), true)] {
-            let told = roof.watcher.see_floor(Sight::Floor(floor), set);
-            assert!(
-                told.is_warning == is_warning && told.text.contains(line),
-                "{told:?}"
-            );
-        }
-        assert_eq!(roof.watcher.condition().floor.0, Sight::Floor(floor));
-    }
-
-    #[test]
-    fn gps_time_that_comes_goes_or_is_doubtful_is_logged_once() {
-        let mut roof = Watched::new(None);
-        roof.observe(5, 75, 1);
-        let mut see = |source, doubt| {
-            let told = roof.watcher.see_time(source, doubt);
-            let texts: Vec<String> = told.into_iter().map(|message| message.text).collect();
-            (texts, roof.watcher.complaint())
-        };
-        let (texts, complaint) = see(TimeSource::Gps, None);
-        assert_eq!(
-            (texts, complaint),
-            (vec!["roof: times are UTC by GPS".to_owned()], None)
-        );
-        // 2026-03-10 10:00:59 UTC, and the same at 2006-07-25.
-        let said_ns = 1_153_821_659_000_000_000;
-        let weeks = GpsDoubt::Weeks {
-            said_ns,
-            weeks: 1024,
-        };
-        let (texts, complaint) = see(TimeSource::Gps, Some(weeks));
-        let words = "2006-07-25 10:00:59.000 UTC, 1024 weeks too early";
-        assert!(texts.len() == 1 && texts[0].contains(words), "{texts:?}");
-        assert!(complaint.is_some_and(|why| why.contains(words)));
-        let later = GpsDoubt::Weeks {
-            said_ns: said_ns + 1_000_000_000,
-            weeks: 1024,
-        };
-        assert_eq!(see(TimeSource::Gps, Some(later)).0, [""; 0]);
-        let far = GpsDoubt::Far {
-            said_ns,
-            host_ns: 0,
-        };
-        let (texts, _) = see(TimeSource::Host, Some(far));
-        assert!(
-            texts.len() == 2
-                && texts[0].contains("1970-01-01 00:00:00.000 UTC")
-                && texts[0].contains("set it by NTP")
-                && texts[1] == "roof: GPS time is lost: times are of this host's clock",
-            "{texts:?}"
-        );
-        let (texts, complaint) = see(TimeSource::Host, None);
-        assert_eq!((texts.len(), complaint), (1, None));
-    }
-
-    #[test]
-    fn losses_are_a_state_beside_streaming() {
-        let mut roof = Watched::new(Some(600));
-        lose(&mut roof, 10, 0);
-        assert_eq!(roof.watcher.state(), State::Streaming);
-        let told = lose(&mut roof, 10, 5);
-        assert!(told.len() == 1 && told[0].starts_with("roof: "), "{told:?}");
-        let Condition {
-            state,
-            complaint,
-            is_fault,
-            recent,
-            ..
-        } = roof.watcher.condition();
-        assert_eq!((state, is_fault), (State::Losing, false));
-        assert!(
-            complaint
-                .unwrap()
-                .starts_with("6.2 % of its packets are lost or of no use")
-        );
-        assert!((recent.unwrap().share() - 5.0 / 80.0).abs() < 1e-9);
-        // Another speed than configured is still a fault, and both are reported.
-        roof.turn(Running {
-            rpm: 500.0,
-            ..RUNNING
-        });
-        assert_eq!(lose(&mut roof, 1, 5).len(), 1);
-        let Condition {
-            state,
-            complaint,
-            is_fault,
-            ..
-        } = roof.watcher.condition();
-        assert_eq!((state, is_fault), (State::Losing, true));
-        assert!(
-            complaint.is_some_and(
-                |why| why.contains("of its packets") && why.contains("turns at 500 rpm")
-            )
-        );
-        roof.turn(RUNNING);
-        let told = lose(&mut roof, 10, 75);
-        assert!(told.len() == 2, "{told:?}");
-        let is = roof.watcher.condition();
-        assert_eq!((is.state, is.is_fault), (State::LosingMany, true));
-        let told = lose(&mut roof, 10, 0);
-        assert!(
-            told.len() == 1 && told[0].contains("its losses are over"),
-            "{told:?}"
-        );
-        let is = roof.watcher.condition();
-        assert_eq!(
-            (is.state, is.complaint, is.is_fault, is.losses),
-            (State::Streaming, None, false, None)
-        );
-    }
-
-    #[test]
-    fn a_beam_that_is_dark_for_long_is_a_warning_and_logged_once() {
-        let mut roof = Watched::new(Some(600));
-        roof.observe(5, 75, 1);
-        let dark = |channel: u32, turns| DarkBeam {
-            row: channel + 1,
-            channel,
-            turns,
-        };
-        let sentence = "channel 82 (row 83) has not returned for 1,000 turns, though the beams next to it have";
-        let told = roof.watcher.observe_beams(vec![dark(82, 1000)]).unwrap();
-        assert!(told.is_warning);
-        assert_eq!(told.text, format!("roof: {sentence}"));
-        let is = roof.watcher.condition();
-        assert_eq!((is.state, is.is_fault), (State::Streaming, false));
-        assert_eq!(is.complaint.as_deref(), Some(sentence));
-        // The same beam a turn later is no news, a second one is, and one of two that is back is
-        // not.
-        assert_eq!(roof.watcher.observe_beams(vec![dark(82, 1001)]), None);
-        let both = vec![dark(9, 1000), dark(82, 1002)];
-        assert!(roof.watcher.observe_beams(both).unwrap().is_warning);
-        assert_eq!(roof.watcher.observe_beams(vec![dark(9, 1001)]), None);
-        // Beside another speed and losses it is told last.
-        roof.turn(Running {
-            rpm: 500.0,
-            ..RUNNING
-        });
-        lose(&mut roof, 10, 5);
-        let complaint = roof.watcher.complaint().unwrap();
-        assert!(
-            complaint.contains("; it turns at 500 rpm")
-                && complaint.ends_with("; channel 9 (row 10) has not returned for 1,001 turns, though the beams next to it have"),
-            "{complaint}"
-        );
-        roof.turn(RUNNING);
-        lose(&mut roof, 10, 0);
-        let told = roof.watcher.observe_beams(Vec::new()).unwrap();
-        assert_eq!(
-            (told.is_warning, &told.text[..]),
-            (
-                false,
-                "roof: the beams that had not returned return again, or their counts were reset"
-            )
-        );
-        assert_eq!(roof.watcher.observe_beams(Vec::new()), None);
-        assert_eq!(roof.watcher.complaint(), None);
-    }
-
-    #[test]
-    fn a_given_model_against_the_factory_byte_is_a_warning_that_names_the_line_to_change() {
-        let mut roof = Watched::new(None);
-        roof.observe(5, 75, 1);
-        // A Puck Hi-Res under `model = "vlp16"`.
-        roof.seen.facts.other_product = Some(0x24);
-        let told = roof.observe(5, 75, 1);
-        assert!(
-            told.len() == 1 && told[0].contains("factory byte"),
-            "{told:?}"
-        );
-        let is = roof.watcher.condition();
-        assert_eq!((is.state, is.is_fault), (State::Streaming, false));
-        assert!(is.complaint.unwrap().contains("Puck Hi-Res"));
-        assert!(is.findings[0].cure.contains("`model = \"puck-hires\"`"));
-        roof.seen.facts.other_product = None;
-        assert!(roof.observe(5, 75, 1)[0].contains("this is over"));
-        assert_eq!(roof.watcher.complaint(), None);
-    }
-
-    #[test]
-    fn what_the_kernel_drops_is_told_though_no_stamp_shows_it() {
-        let mut roof = Watched::new(None);
-        for (dropped, is_fault) in [(5, false), (75, true)] {
-            for _ in 0..100 {
-                roof.seen.tally.data += 75;
-                roof.seen.tally.received += 75;
-                roof.seen.tally.dropped += dropped;
-                roof.observe(1, 75, 1);
-            }
-            let is = roof.watcher.condition();
-            assert_eq!((is.state, is.is_fault), (State::Streaming, is_fault));
-            assert!(is.complaint.unwrap().contains("kernel dropped"));
-        }
-        lose(&mut roof, 10, 0);
-        assert_eq!(roof.watcher.complaint(), None);
-    }
-
-    #[test]
-    fn a_sensor_that_changes_again_and_again_is_told_with_how_often() {
-        let mut roof = Watched::new(None);
-        let models = [Model::Vlp16, Model::Hdl32e, Model::Vlp16];
-        for (at, model) in models.into_iter().enumerate() {
-            roof.turn(Running { model, ..RUNNING });
-            roof.observe(5, 75, 1);
-            assert_eq!(roof.watcher.complaint().is_some(), at == 2);
-        }
-        let told = roof.watcher.complaint().unwrap();
-        assert!(
-            told.contains("another model 2 times in the last 10 minutes"),
-            "{told}"
-        );
-        roof.seen.facts.clock_jumps = 1;
-        roof.observe(5, 75, 1);
-        roof.seen.facts.clock_jumps = 3;
-        let told = roof.observe(5, 75, 1);
-        assert!(
-            told.len() == 1 && told[0].contains("its clock jumped 3 times"),
-            "{told:?}"
-        );
-    }
-
-    #[test]
-    fn a_sensor_that_is_silent_has_no_losses() {
-        let mut roof = Watched::new(None);
-        lose(&mut roof, 10, 75);
-        assert_eq!(roof.watcher.state(), State::LosingMany);
-        assert_eq!(roof.observe(50, 0, 0).len(), 1);
-        assert_eq!(
-            (roof.watcher.state(), roof.watcher.condition().recent),
-            (State::Stalled, None)
-        );
-        // The losses of the pause are counted with the first packet behind it.
-        roof.seen.tally.lost += 3_750;
-        assert_eq!(
-            lose(&mut roof, 10, 0),
-            ["roof: streaming, VLP-16 at 600 rpm, one return"]
-        );
-    }
-}
+mod tests;

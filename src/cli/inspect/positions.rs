@@ -60,7 +60,7 @@ impl Positions {
         row(text, "position", format_args!("{packets}{rate}{whose}"));
         row(text, "GPS", self.gps());
         if let Some(doubt) = &self.doubt {
-            row(text, "GPS time", gps::explain(doubt));
+            row(text, "GPS time", gps::finding(doubt));
         }
         if let Some((top, bottom)) = self.board_c {
             row(

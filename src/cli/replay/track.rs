@@ -220,7 +220,7 @@ impl<'a> Track<'a> {
     /// Shows what is doubtful about the time of its GPS receiver, the first time.
     fn show_gps_doubt(&mut self, doubt: GpsDoubt) {
         if self.gps_doubt.replace(doubt).is_none() {
-            let message = format!("{}: {}", self.name, gps::explain(&doubt));
+            let message = format!("{}: {}", self.name, gps::finding(&doubt));
             self.progress.suspend(|| complain("warning", message));
         }
     }

@@ -310,7 +310,7 @@ impl SensorCheck<'_> {
             self.warning(Topic::Clock, what, cure);
         }
         if let Some(doubt) = &self.sensor.gps_doubt {
-            self.warning(Topic::Clock, gps::sentence(doubt), gps::cure(doubt));
+            self.findings.0.push(gps::finding(doubt).of(&self.name));
         }
         let is_told = matches!(self.sensor.gps_doubt, Some(GpsDoubt::Far { .. }));
         let ahead = self.sensor.host_ahead_s.filter(|_| !is_told);

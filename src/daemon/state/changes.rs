@@ -1,0 +1,67 @@
+//! How often a sensor restarted, its clock jumped, and its packets became those of another model.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use super::Observation;
+use crate::judge::Remark;
+use sweepd_core::sensor::Model;
+
+/// How long a change is remembered.
+const RECENTLY: Duration = Duration::from_secs(600);
+/// Most changes of a kind that are remembered.
+const REMEMBERED: usize = 100;
+
+/// The changes of a sensor.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Changes {
+    restarts: Recurrence,
+    clock_jumps: Recurrence,
+    exchanges: Recurrence,
+    /// The model of the newest sweep.
+    model: Option<Model>,
+}
+
+impl Changes {
+    /// Takes the present counts, and gives what happened more than once lately.
+    pub fn observe(&mut self, seen: &Observation) -> Vec<Remark> {
+        let model = seen.running.map(|running| running.model).or(self.model);
+        let is_exchanged = self.model.is_some() && model != self.model;
+        self.model = model;
+        let exchanges = self.exchanges.count + u64::from(is_exchanged);
+        let within = RECENTLY;
+        let restarts = self.restarts.observe(seen.now, seen.facts.restarts);
+        let exchanges = self.exchanges.observe(seen.now, exchanges);
+        let clock_jumps = self.clock_jumps.observe(seen.now, seen.facts.clock_jumps);
+        let mut remarks = Vec::new();
+        remarks.extend(restarts.map(|times| Remark::Restarts { times, within }));
+        remarks.extend(exchanges.map(|times| Remark::Exchanges { times, within }));
+        remarks.extend(clock_jumps.map(|times| Remark::ClockJumps { times, within }));
+        remarks
+    }
+}
+
+/// How often something happened over the last [`RECENTLY`].
+#[derive(Clone, Debug, Default)]
+struct Recurrence {
+    count: u64,
+    /// When, the oldest first.
+    times: VecDeque<Duration>,
+}
+
+impl Recurrence {
+    /// Takes the count so far, and gives how often it grew lately, if that is more than once.
+    fn observe(&mut self, now: Duration, count: u64) -> Option<usize> {
+        // Another sensor is counted anew.
+        let more = count.saturating_sub(std::mem::replace(&mut self.count, count));
+        for _ in 0..more.min(REMEMBERED as u64) {
+            self.times.push_back(now);
+        }
+        while self.times.len() > REMEMBERED
+            || (self.times.front()).is_some_and(|&first| now - first > RECENTLY)
+        {
+            self.times.pop_front();
+        }
+        Some(self.times.len()).filter(|&times| times > 1)
+    }
+}
