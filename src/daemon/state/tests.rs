@@ -1,4 +1,3 @@
-
 use super::*;
 use crate::sensor_settings::{Returns, Rpm};
 use sweepd_core::floor::Floor;
