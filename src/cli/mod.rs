@@ -12,6 +12,7 @@ pub mod inspect;
 pub mod jobs;
 pub mod mask;
 pub mod objects;
+mod onward;
 pub mod options;
 pub mod output;
 pub mod play;

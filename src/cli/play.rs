@@ -25,7 +25,8 @@ pub struct PlayOptions {
     /// max; realtime with --to and --publish]
     #[arg(long, allow_negative_numbers = true)]
     pub speed: Option<Speed>,
-    /// Begin again at the end, for ever or this number of times in all
+    /// Begin again at the end, for ever or this number of times in all; with --to, the sensors'
+    /// clocks and the time of GPS go on
     #[arg(long = "loop", value_name = "TIMES", num_args = 0..=1, require_equals = true, default_missing_value = "forever")]
     pub times: Option<Times>,
     /// Also emit partial sweeps: the first, the last, and those that were interrupted

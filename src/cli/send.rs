@@ -2,8 +2,10 @@
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
+use std::time::Duration;
 
 use super::CliError;
+use super::onward::Onward;
 use crate::admission::{Admitted, MAX_SENSORS, Refused, Route};
 use sweepd_core::wire::Datagram;
 
@@ -15,6 +17,7 @@ pub struct Sender {
     to: SocketAddr,
     /// At most two for each of [`MAX_SENSORS`].
     ports: Vec<Port>,
+    onward: Onward,
 }
 
 struct Port {
@@ -30,6 +33,7 @@ impl Sender {
         Self {
             to,
             ports: Vec::new(),
+            onward: Onward::default(),
         }
     }
 
@@ -48,10 +52,21 @@ impl Sender {
             | Err(Refused {
                 sensor: Some(index),
                 ..
-            }) => self.data(*index, ip, datagram.payload),
-            Ok((Route::Position(_), _)) => self.position(ip, datagram.payload),
+            }) => {
+                let payload = self.onward.data(*index, datagram.payload);
+                self.data(*index, ip, &payload)
+            }
+            Ok((Route::Position(_), _)) => {
+                let payload = self.onward.position(datagram.payload);
+                self.position(ip, &payload)
+            }
             Err(_) => Ok(()),
         }
+    }
+
+    /// The capture begins again, and the clocks of its sensors go on. Gives how long it lasted.
+    pub fn begin_again(&mut self) -> Duration {
+        self.onward.begin_again()
     }
 
     /// Sends a data packet of a sensor.

@@ -79,21 +79,66 @@ fn each_sensor_sends_from_a_port_of_its_own() {
 }
 
 #[test]
-fn only_what_is_played_is_sent() {
+fn only_what_is_played_is_sent_and_the_clock_goes_on_in_a_loop() {
     let sent = made::vlp16();
     let start_ns = sent[0].arrival_ns;
     let played = sent
         .iter()
         .filter(|sent| (100_000_000..200_000_000).contains(&(sent.arrival_ns - start_ns)));
     let played: Vec<Vec<u8>> = played.map(|sent| sent.payload.clone()).collect();
-    let options = ["--start", "0.1", "--end", "0.2", "--loop=2", "--speed", "2"];
+    let first_position = played.iter().position(|one| one.len() == 512).unwrap();
+    let options = [
+        "--start",
+        "0.1",
+        "--end",
+        "0.2",
+        "--loop=12",
+        "--speed",
+        "4",
+    ];
     let (ports, _) = received(
         &fixture("street_vlp16_losses.pcap"),
-        2 * played.len(),
+        12 * played.len(),
         &options,
     );
     let arrived = ports.into_values().next().unwrap();
-    assert!(arrived == [&played[..], &played].concat());
+    assert_eq!(arrived.len(), 12 * played.len());
+    assert!(arrived[..played.len()] == played);
+    // The clock goes on from round to round, and the time of the GPS receiver with it.
+    let mut newest_us = None;
+    for (payload, first) in arrived.iter().zip(played.iter().cycle()) {
+        let at = if payload.len() == 1206 { 1200 } else { 0xC6 };
+        let [stamp_us, first_us] =
+            [payload, first].map(|bytes| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()));
+        let mut same = payload.clone();
+        same[at..at + 4].copy_from_slice(&first[at..at + 4]);
+        if payload.len() == 1206 {
+            // Some overtake others.
+            let stamp_us = i64::from(stamp_us);
+            let step_us = stamp_us - newest_us.replace(stamp_us).unwrap_or(stamp_us);
+            assert!(step_us.abs() < 20_000, "{step_us}");
+        } else {
+            let [says, said] = [payload, first].map(|bytes| second(bytes));
+            assert_eq!(
+                (stamp_us / 1_000_000 + 60 - says) % 60,
+                (first_us / 1_000_000 + 60 - said) % 60
+            );
+            same[0xCE..].copy_from_slice(&first[0xCE..]);
+        }
+        assert!(same == *first);
+    }
+    assert!(
+        arrived
+            .iter()
+            .any(|one| one.len() == 512 && second(one) != second(&played[first_position]))
+    );
+}
+
+/// The second of the minute in the sentence of a position packet, whose checksum is right.
+fn second(payload: &[u8]) -> u32 {
+    let text = std::str::from_utf8(&payload[0xCE..]).unwrap();
+    let rmc = sweepd::wire::nmea::Rmc::parse(text.lines().next().unwrap()).unwrap();
+    (rmc.utc_ns / 1_000_000_000 % 60) as u32
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Every failure of docs/failures.md, by its command, against a daemon: log, `/health` and the doctor
-//! tell it in the words of the page.
+//! tell it in the words of the page. And captures without a failure, of which nothing is told.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -159,4 +160,124 @@ fn every_failure_is_told_by_log_health_and_doctor() {
     });
     let untold = untold.into_inner().unwrap();
     assert!(untold.is_empty(), "{}", untold.join("\n\n"));
+}
+
+/// What the daemon rightly says of captures in a loop: a part of their names, and of the words.
+const FAULTS: [(&str, &str); 6] = [
+    // GPS time is that of the recording.
+    ("street_", "and packets arrive at"),
+    ("vlp16_mrpt-gps", "and packets arrive at"),
+    ("street_vlp16_losses", "of its packets are lost"),
+    // It has 1.1 turns, and with them no whole sweep.
+    ("vlp16_rlu", "no whole turn at a steady speed"),
+    // They are too short for a whole calibration.
+    ("street_hdl64e_s3_dual", "without a calibration file"),
+    ("street_hdl64e_s3_switch", "without a calibration file"),
+];
+/// By then, all captures stream that can.
+const START: Duration = Duration::from_secs(10);
+
+const MODELS: [&str; 6] = [
+    "vlp16",
+    "vlp32c",
+    "hdl32e",
+    "hdl64e-s2",
+    "hdl64e-s3",
+    "vls128",
+];
+
+/// The captures of the repository, and those of `SWEEPD_DATA` that have a turn.
+fn captures() -> Vec<PathBuf> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let data =
+        std::env::var_os("SWEEPD_DATA").map_or_else(|| root.join("../shared/data"), PathBuf::from);
+    let mut captures = Vec::new();
+    for folder in [root.join("pcap_fixtures"), data.join("pcap")] {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.to_string_lossy();
+            if name.contains(".pcap") && !name.contains("gadomski") {
+                captures.push(path);
+            }
+        }
+    }
+    captures.sort();
+    captures
+}
+
+/// All captures of a turn or more at once in a loop, for `SWEEPD_MINUTES`: the daemon warns of nothing
+/// but the faults that captures have.
+#[test]
+#[ignore = "takes half an hour: SWEEPD_MINUTES=30 and the folder SWEEPD_DATA"]
+fn captures_in_a_loop_are_well() {
+    let minutes: u64 = std::env::var("SWEEPD_MINUTES").map_or(30, |text| text.parse().unwrap());
+    let folder = TempDomain::new("sweepd-loop-").unwrap();
+    let http = ReservedPort::new().unwrap();
+    let mut text = format!("http = \"{}\"\n", http.address());
+    let mut ports = Vec::new();
+    for (number, capture) in captures().iter().enumerate() {
+        let port = ReservedPort::new().unwrap();
+        text += &format!(
+            "[[sensor]]\nname = \"s{number}\"\naddress = \"127.0.0.1\"\nbind = \"127.0.0.1\"\nport = {0}\nposition_port = {0}\n",
+            port.number()
+        );
+        let is_of = |model: &&str| capture.to_string_lossy().contains(&model.replace('-', "_"));
+        let model = MODELS
+            .into_iter()
+            .find(is_of)
+            .expect("a name that tells the model");
+        text += &format!("model = \"{model}\"\n");
+        ports.push((port, capture.clone()));
+    }
+    let config = folder.path("sweepd.toml");
+    fs::write(&config, text).unwrap();
+    let mut command = run_command(&tool("sweepd"), &config);
+    let mut daemon =
+        Daemon::start(command.env("SWEEPD_ROOT", folder.root()), http.address()).unwrap();
+    let mut senders = Vec::new();
+    for (port, capture) in &ports {
+        let mut command = Command::new(tool("sweepd"));
+        command
+            .arg("replay")
+            .arg(capture)
+            .args(["--loop", "--to", &port.address().to_string()]);
+        senders.push(Process::start(command.stdout(Stdio::null())).unwrap());
+    }
+    let begun = Instant::now();
+    thread::sleep(START);
+    let mut told = BTreeSet::new();
+    let mut unknown = Vec::new();
+    while begun.elapsed() < Duration::from_secs(60 * minutes) {
+        thread::sleep(Duration::from_millis(500));
+        let health = daemon.health().unwrap();
+        for finding in health["findings"].as_array().unwrap() {
+            let what = finding["what"].as_str().unwrap();
+            if finding["severity"] == "note" {
+                continue;
+            }
+            let number: usize = what[1..].split(':').next().unwrap().parse().unwrap();
+            let capture = ports[number].1.file_name().unwrap().to_string_lossy();
+            let is_known = FAULTS
+                .iter()
+                .any(|(name, words)| capture.contains(name) && what.contains(words));
+            // Its numbers change.
+            let words: String = what.chars().filter(|one| !one.is_ascii_digit()).collect();
+            if told.insert((number, words)) {
+                let seconds = begun.elapsed().as_secs_f64();
+                println!("{seconds:.0} s: {capture}: {what}");
+                if !is_known {
+                    unknown.push(format!("{capture}: {what}"));
+                }
+            }
+        }
+    }
+    println!("{} captures, {minutes} minutes", ports.len());
+    for sender in &mut senders {
+        assert!(
+            sender.child.try_wait().unwrap().is_none(),
+            "{}",
+            sender.log()
+        );
+    }
+    assert!(unknown.is_empty(), "{}", unknown.join("\n"));
 }

@@ -18,6 +18,9 @@ use crate::streams::{SteadyTime, Streams};
 use sweepd_core::pipeline::{Labels, TimedSegmenter};
 use sweepd_core::segment::Segmenter;
 
+/// A round that begins earlier or later than this by the clocks begins at once.
+const STRAY: Duration = Duration::from_secs(1);
+
 /// The way from a capture to whole sweeps; kept from round to round.
 pub(super) struct Playback<'a> {
     pub(super) setup: Setup<'a>,
@@ -25,6 +28,8 @@ pub(super) struct Playback<'a> {
     pub(super) streams: Streams<Track<'a>>,
     /// Datagrams of other senders in the rounds before.
     pub(super) others_before: u64,
+    /// When the newest round began.
+    begun: Option<Instant>,
 }
 
 /// One time through the capture.
@@ -68,6 +73,7 @@ impl<'a> Playback<'a> {
             },
             sender: args.play.destination().map(Sender::new),
             others_before: 0,
+            begun: None,
         })
     }
 
@@ -109,13 +115,38 @@ impl<'a> Playback<'a> {
         }
         let args = self.setup.args;
         let speed = args.play.speed(args.publish.is_wanted());
+        let begun = self.begin_at(speed);
+        self.begun = Some(begun);
         Ok(Round {
             capture,
             pacer: Pacer::new(speed),
-            begun: Instant::now(),
+            begun,
             since_start: SteadyTime::default(),
             read: None,
         })
+    }
+
+    /// Waits until the next round is to begin. Where datagrams are sent, the clocks of the sensors go
+    /// on meanwhile, and so does that of the receiver.
+    fn begin_at(&mut self, speed: Speed) -> Instant {
+        let now = Instant::now();
+        let Some((sender, before)) = self.sender.as_mut().zip(self.begun) else {
+            return now;
+        };
+        let lasts = sender.begin_again();
+        let Speed::Factor(factor) = speed else {
+            return now;
+        };
+        let lasts = Duration::try_from_secs_f64(lasts.as_secs_f64() / factor).unwrap_or_default();
+        let due = before + lasts;
+        let early = due.saturating_duration_since(now);
+        let late = now.saturating_duration_since(due);
+        // A pause of the capture was left out, or this program was stopped.
+        if early.max(late) > STRAY {
+            return now;
+        }
+        thread::sleep(early);
+        due
     }
 
     /// The next sweep of any sensor, in memory of this job; none at the end of the round. Where the

@@ -112,6 +112,34 @@ impl Rmc {
     }
 }
 
+/// The same sentence some seconds later, from midnight to midnight with its date. Everything else
+/// stays, and what cannot be read stays as it is.
+pub(super) fn later(text: &str, by_s: i64) -> String {
+    let is_read = Rmc::parse(text).is_ok();
+    let Some((body, _)) = text
+        .trim_start_matches('$')
+        .rsplit_once('*')
+        .filter(|_| is_read)
+    else {
+        return text.to_owned();
+    };
+    let mut fields: Vec<String> = body.split(',').map(str::to_owned).collect();
+    let (time, date) = (fields[1].trim().to_owned(), fields[9].trim().to_owned());
+    let (whole, fraction) = time.split_at(6);
+    let day_s = parse_time(whole).unwrap_or_default() / 1_000_000_000 + by_s;
+    let days = parse_date(&date).unwrap_or_default() + day_s.div_euclid(DAY_S);
+    let day_s = day_s.rem_euclid(DAY_S);
+    let (year, month, day) = civil_from_days(days);
+    let [hour, minute, second] = [day_s / 3600, day_s / 60 % 60, day_s % 60];
+    let later = format!("{hour:02}{minute:02}{second:02}{fraction}");
+    fields[1] = fields[1].replacen(&time, &later, 1);
+    let later = format!("{day:02}{month:02}{:02}", year.rem_euclid(100));
+    fields[9] = fields[9].replacen(&date, &later, 1);
+    let body = fields.join(",");
+    format!("${body}*{:02X}", xor(&body))
+}
+
+const DAY_S: i64 = 86_400;
 const DAY_NS: i64 = 86_400_000_000_000;
 
 fn xor(body: &str) -> u8 {
@@ -233,6 +261,26 @@ mod tests {
             (rmc.utc_ns, rmc.valid, rmc.position_deg),
             (764_426_119_000_000_000, false, None)
         );
+    }
+
+    #[test]
+    fn a_later_sentence_has_later_time_and_date_alone() {
+        let late = "$GPRMC,235959.25,A,4807.038,N,01131.000,E,022.4,084.4,281224,003.1,W*";
+        let late = format!("{late}{:02X}", xor(late.trim_matches(['$', '*'])));
+        let next = later(&late, 4 * DAY_S + 2);
+        assert!(
+            next.starts_with(
+                "$GPRMC,000001.25,A,4807.038,N,01131.000,E,022.4,084.4,020125,003.1,W*"
+            ),
+            "{next}"
+        );
+        assert_eq!(
+            Rmc::parse(&next).unwrap().utc_ns,
+            Rmc::parse(&late).unwrap().utc_ns + (4 * DAY_S + 2) * 1_000_000_000
+        );
+        for other in ["", "$GPGGA,123519*00", "$GPRMC,123518*6A"] {
+            assert_eq!(later(other, 5), other);
+        }
     }
 
     #[test]

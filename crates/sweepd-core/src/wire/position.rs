@@ -14,7 +14,7 @@
 use zerocopy::little_endian::{I16, U16, U32};
 use zerocopy::{FromBytes, FromZeros, Immutable, IntoBytes, KnownLayout, Unaligned};
 
-use super::PacketError;
+use super::{HOUR_US, PacketError, nmea};
 
 /// Bytes of a position packet.
 pub const POSITION_PACKET_LEN: usize = 512;
@@ -251,6 +251,22 @@ impl<'a> Position<'a> {
         }
         zerocopy::transmute!(layout)
     }
+}
+
+/// The bytes of a position packet as its sensor would send it later: its stamp, and the time of the
+/// sentence. `None` where they are no position packet.
+pub fn later(bytes: &[u8], by_us: u64) -> Option<[u8; POSITION_PACKET_LEN]> {
+    let mut layout = *Layout::ref_from_bytes(bytes).ok()?;
+    let stamp_us = layout.stamp_us.get();
+    let later_us = u64::from(stamp_us) + by_us;
+    layout.stamp_us = U32::new((later_us % u64::from(HOUR_US)) as u32);
+    if let Some(text) = sentence(&layout.nmea) {
+        // The sentence is of a whole second of the clock.
+        let seconds = later_us / 1_000_000 - u64::from(stamp_us) / 1_000_000;
+        let text = nmea::later(text, seconds as i64);
+        layout.nmea[..text.len()].copy_from_slice(text.as_bytes());
+    }
+    Some(zerocopy::transmute!(layout))
 }
 
 /// The group, or `None` if all its bytes are zero: this model or firmware does not send it.
