@@ -5,6 +5,7 @@ use std::f64::consts::TAU;
 use std::net::Ipv4Addr;
 
 use super::clock::{Clock, ClockStep, Reception};
+use super::damage::EyeFault;
 use super::gps::ReceiverFault;
 use super::head::{Encoder, FieldOfView, Motion, Motor, Pose};
 use super::optics::Optics;
@@ -49,6 +50,8 @@ pub struct EmitterConfig {
     pub encoder: Encoder,
     /// How well it sees.
     pub optics: Optics,
+    /// What is wrong with its eye.
+    pub eye: Option<EyeFault>,
     /// What its clock follows.
     pub clock: Clock,
     /// A step of its clock.
@@ -92,6 +95,7 @@ impl EmitterConfig {
                 sends_36000: true,
             },
             optics: Optics::of(model),
+            eye: None,
             clock: Clock::Free { hour_ns: 0 },
             clock_step: None,
             restart_ns: None,

@@ -1,4 +1,5 @@
-//! Damage of one data packet: a bit of a part of it, or its length.
+//! Damage of one data packet: a bit of a part of it, or its length. And faults of the sensor's eye,
+//! which spoil what all packets hold.
 //!
 //! ```text
 //! block 0 .. 11                                     1200     1204
@@ -165,6 +166,95 @@ impl Damage {
         let byte = usize::from(bit / 8);
         let is_record = matches!(self.part(), PacketPart::Distance | PacketPart::Reflectivity);
         is_record.then(|| (byte / BLOCK_LEN, (byte % BLOCK_LEN - HEAD_LEN) / RECORD_LEN))
+    }
+}
+
+/// What is wrong with the eye of a sensor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EyeKind {
+    /// No shot returns.
+    Blind,
+    /// 97 of 100 shots do not return.
+    Faded,
+    /// Each shot returns from less than a metre: a cover, or water on the window.
+    Cover,
+    /// The lower half of the beams does not return.
+    Dark,
+    /// No shot to the right, from 45 to 135 degrees, returns.
+    Sector,
+    /// Each beam returns the same all the time.
+    Frozen,
+}
+
+impl EyeKind {
+    /// All of them.
+    pub const ALL: [Self; 6] = [
+        Self::Blind,
+        Self::Faded,
+        Self::Cover,
+        Self::Dark,
+        Self::Sector,
+        Self::Frozen,
+    ];
+
+    /// The word for it on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Blind => "blind",
+            Self::Faded => "faded",
+            Self::Cover => "cover",
+            Self::Dark => "dark",
+            Self::Sector => "sector",
+            Self::Frozen => "frozen",
+        }
+    }
+}
+
+/// A fault of the eye.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EyeFault {
+    /// What is wrong.
+    pub kind: EyeKind,
+    /// From when on, nanoseconds after the first shot.
+    pub from_ns: i64,
+}
+
+/// What a shot gives.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Sight {
+    /// What is there.
+    Scene,
+    /// No return.
+    Nothing,
+    /// A return that is not of the scene: its distance, metres, and reflectivity.
+    Spoilt(f64, u8),
+}
+
+impl EyeFault {
+    /// What a shot gives: its time, channel, whether that is in the lower half, and azimuth, radians.
+    pub(super) fn sight(
+        self,
+        time_ns: i64,
+        (channel, is_low): (usize, bool),
+        azimuth_rad: f64,
+        rng: &mut Rng,
+    ) -> Sight {
+        if time_ns < self.from_ns {
+            return Sight::Scene;
+        }
+        let is_dark = match self.kind {
+            EyeKind::Blind => true,
+            EyeKind::Faded => rng.f64() < 0.97,
+            EyeKind::Dark => is_low,
+            EyeKind::Sector => (45.0..135.0).contains(&azimuth_rad.to_degrees()),
+            EyeKind::Cover => return Sight::Spoilt(0.2 + 0.75 * rng.f64(), rng.u8(1..20)),
+            EyeKind::Frozen => return Sight::Spoilt(5.0 + 0.1 * channel as f64, 40),
+        };
+        if is_dark {
+            Sight::Nothing
+        } else {
+            Sight::Scene
+        }
     }
 }
 

@@ -12,6 +12,7 @@ use fastrand::Rng;
 
 use super::beam::{Aim, Laser};
 use super::config::{EmitterConfig, destination};
+use super::damage::Sight;
 use super::gps;
 use super::head::Pose;
 use super::layout::Layout;
@@ -23,7 +24,7 @@ use super::status::Status;
 use super::truth::{PacketTruth, ReturnTruth, SimulatedDatagram};
 use super::view::View;
 use sweepd_core::sensor::Calibration;
-use sweepd_core::wire::data::{BLOCKS, DataPacket, RECORDS, ReturnMode};
+use sweepd_core::wire::data::{BLOCKS, DataPacket, RECORDS, Record, ReturnMode};
 use sweepd_core::wire::hdl64::CYCLE_LEN;
 use sweepd_core::wire::{DATA_PORT, POSITION_PORT};
 
@@ -37,6 +38,8 @@ const VIEW_SLACK_NS: i64 = 1_800_000;
 pub struct Emitter<'a> {
     config: EmitterConfig,
     lasers: Vec<Laser>,
+    /// Whether each of them is in the lower half.
+    is_low: Vec<bool>,
     /// The status for bytes 1204 and 1205, if these are not mode and product.
     status: Option<Status>,
     scene: &'a Scene,
@@ -79,6 +82,16 @@ impl<'a> Emitter<'a> {
             .iter()
             .map(|beam| Laser::new(beam, config.spec.distance_unit_m))
             .collect();
+        let mut elevations = Vec::new();
+        for beam in beams.beams() {
+            elevations.push(beam.elevation_rad);
+        }
+        elevations.sort_by(f64::total_cmp);
+        let middle_rad = elevations[elevations.len() / 2];
+        let mut is_low = Vec::new();
+        for beam in beams.beams() {
+            is_low.push(beam.elevation_rad < middle_rad);
+        }
         let view = (0, view(scene, &config, 0));
         let status = config
             .model
@@ -87,6 +100,7 @@ impl<'a> Emitter<'a> {
         Self {
             scene,
             lasers,
+            is_low,
             status,
             view,
             schedule: Schedule::default(),
@@ -176,6 +190,17 @@ impl<'a> Emitter<'a> {
                 head_rad = config.azimuth_rad(time_ns);
                 pose = config.pose_at(time_ns as f64 * 1e-9);
             }
+            if let Some(fault) = config.eye {
+                let laser = (channel, self.is_low[channel]);
+                match fault.sight(time_ns, laser, head_rad, rng) {
+                    Sight::Scene => {}
+                    Sight::Nothing => continue,
+                    Sight::Spoilt(distance_m, reflectivity) => {
+                        self.spoil(draft, [firing, channel], distance_m, reflectivity);
+                        continue;
+                    }
+                }
+            }
             let aim = laser.aimed(head_rad);
             let guess_m = draft.met_m[channel];
             let shot = Shot {
@@ -202,6 +227,20 @@ impl<'a> Emitter<'a> {
                     draft.truth.returns[block][record] = Some(truth(one, &aim, time_ns));
                 }
             }
+        }
+    }
+
+    /// Writes a return that is not of the scene, as a firing's shot of a channel; it has no truth.
+    fn spoil(&self, draft: &mut Draft, shot: [usize; 2], distance_m: f64, reflectivity: u8) {
+        let units = distance_m / self.config.spec.distance_unit_m;
+        let bytes = Record {
+            distance: (units as u16).into(),
+            reflectivity,
+        };
+        let reported = if draft.mode == ReturnMode::Dual { 2 } else { 1 };
+        for number in 0..reported {
+            let (block, record) = draft.layout.place(shot[0], shot[1], number);
+            draft.packet.blocks[block].records[record] = bytes;
         }
     }
 

@@ -74,7 +74,7 @@ pub mod warehouse;
 
 pub use clock::ClockStep;
 pub use config::EmitterConfig;
-pub use damage::{Damage, PacketPart};
+pub use damage::{Damage, EyeFault, EyeKind, PacketPart};
 pub use delivery::{Faults, deliver};
 pub use emitter::Emitter;
 pub use head::{FieldOfView, Motion, Motor, Pose, SpeedChange};

@@ -426,6 +426,7 @@ impl Args {
             };
             config.fov = self.faults.fov;
             config.clock_step = self.faults.clock_step;
+            config.eye = self.faults.eye;
             let pose = self.scene.mounted(scene, number, &mount);
             config.pose = pose.map_err(|error| {
                 CliError::Usage(format!(

@@ -4,7 +4,9 @@ use std::ops::RangeInclusive;
 
 use sweepd::cli::CliError;
 use sweepd::cli::options::within;
-use sweepd_lab::simulate::{ClockStep, FieldOfView, Motor, PacketPart, Rates, SpeedChange};
+use sweepd_lab::simulate::{
+    ClockStep, EyeFault, EyeKind, FieldOfView, Motor, PacketPart, Rates, SpeedChange,
+};
 
 const PERCENT: RangeInclusive<f64> = 0.0..=100.0;
 /// Any moment of the longest simulation, seconds.
@@ -79,6 +81,25 @@ pub struct FaultOptions {
     /// Change from one return to two, or from two to one, after this time
     #[arg(long, value_name = "SECONDS", value_parser = within(DAY_S, "seconds"), allow_negative_numbers = true)]
     pub mode_switch: Option<f64>,
+    /// From a second on, spoil what the sensor sees: blind (no return), faded (3 % of them), cover
+    /// (all within a metre), dark (none of the lower half of the beams), sector (none to the right),
+    /// frozen (each beam always returns the same)
+    #[arg(long, value_name = "KIND@AT", value_parser = eye)]
+    pub eye: Option<EyeFault>,
+}
+
+fn eye(text: &str) -> Result<EyeFault, String> {
+    if let Some((name, at)) = text.split_once('@')
+        && let Some(kind) = EyeKind::ALL.into_iter().find(|kind| kind.name() == name)
+        && let Some(at) = number(at, DAY_S)
+    {
+        let from_ns = nanoseconds(at);
+        return Ok(EyeFault { kind, from_ns });
+    }
+    let names = EyeKind::ALL.map(EyeKind::name).join(", ");
+    Err(format!(
+        "expected one of {names}, @, and from which second on, such as blind@2"
+    ))
 }
 
 /// Values of `--burst-loss` and `--reorder`.
@@ -256,6 +277,7 @@ impl FaultOptions {
             ),
             ("--exchange", self.exchange),
             ("--restart", self.restart),
+            ("--eye", self.eye.map(|eye| eye.from_ns as f64 * 1e-9)),
         ];
         for (flag, moment) in moments {
             if let Some(moment) = moment.filter(|&moment| moment >= seconds) {
