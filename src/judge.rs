@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::text::{count_of, grouped};
 use sweepd_core::sensor::Model;
+use sweepd_core::sweep::eye::eye_faults;
 use sweepd_core::wire::position::Pps;
 
 /// How bad it is.
@@ -342,6 +343,20 @@ impl Remark {
         };
         (topic, what, cure.to_owned())
     }
+}
+
+/// What a sensor does not see by bits of the header's flags, the worst first.
+pub fn of_eye(bits: u32) -> Vec<Finding> {
+    let mut all = Vec::new();
+    for fault in eye_faults(bits) {
+        let severity = match fault.is_fault {
+            true => Severity::Error,
+            false => Severity::Warning,
+        };
+        let what = format!("{}: {}", fault.name, fault.what);
+        all.push(Finding::new(severity, Topic::Sensor, what, fault.cure));
+    }
+    all
 }
 
 /// A model that was given against the factory byte, and the cure.

@@ -1,4 +1,7 @@
-"""Says "stop" while an object reaches into a box ahead of the robot, and how old its newest return is: stop.py SENSOR.
+"""Says "stop" while an object reaches into a box ahead of the robot, and how old its newest return is: stop.py SENSOR [MODEL].
+
+It also says so while sweeps stay away for 0.3 s, while the sensor does not see what it should, and of a sweep of another model:
+a number of docs/layout.md, by default that of the first sweep.
 
 The box stands on the floor. In the robot's frame the sensor is `z_m` of `[sensor.mount]` over the origin, and over the
 floor its height, configured as `height_m` or estimated: the floor is where these say, but never above the origin.
@@ -12,17 +15,30 @@ import time
 
 import numpy as np
 import sweepd
-from sweepd.layout import OBJECTS_NO_HEIGHT
+from sweepd.layout import NOT_SEEING, OBJECTS_NO_HEIGHT
 
 # The box, least and greatest x (right), y (ahead) and z (up from the floor), metres.
 STOP_M = np.array([[-1.0, 0.5, 0.05], [1.0, 5.0, 2.0]])
+# A sensor that is well gives a sweep at least this often, seconds: it turns five times a second or faster.
+SILENCE_S = 0.3
 
 name = sys.argv[1]
-objects = sweepd.Client(name).objects()
+model = int(sys.argv[2]) if len(sys.argv) > 2 else None
+client = sweepd.Client(name)
+objects = client.objects()
+heard_s = 0.0
 while True:
-    message = objects.next(timeout=1.0)
-    if message is None:
+    message = objects.next(timeout=SILENCE_S)
+    while (sweep := client.next(timeout=0)) is not None:
+        heard_s = time.monotonic()
+        model = model or int(sweep.header["model"])
+        if sweep.header["model"] != model:
+            print(f"stop: {name} is of model {sweep.header['model']}, not {model}", flush=True)
+        if sweep.has(NOT_SEEING):
+            print(f"stop: {name} does not see what it should, its flags are {sweep.header['flags']:#x}", flush=True)
+    if message is None or time.monotonic() - heard_s > SILENCE_S:
         print(f"stop: nothing is heard of {name}", flush=True)
+    if message is None:
         continue
     if message.has(OBJECTS_NO_HEIGHT):
         print(f"stop: the height of {name} is not known yet", flush=True)

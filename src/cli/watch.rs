@@ -24,6 +24,8 @@ use crate::suggest::nearest;
 use sweepd_client::client::{Client, Domain, SweepRef};
 use sweepd_client::host::{monotonic_ns, realtime_ns};
 use sweepd_core::sensor::Model;
+use sweepd_core::sweep::eye::eye_sentence;
+use sweepd_core::sweep::layout::flags;
 use sweepd_core::sweep::{Header, Pose};
 
 /// Interval of the check for a signal.
@@ -108,6 +110,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         tally: Tally::default(),
         newest: None,
         seen: 0,
+        eye: 0,
     }
     .run(&over)
 }
@@ -132,6 +135,8 @@ struct Watch<'a> {
     /// The run of the newest sweep, and when it came.
     newest: Option<(i64, Duration)>,
     seen: u64,
+    /// Bits of the newest sweep that say that the sensor does not see.
+    eye: u32,
 }
 
 impl Watch<'_> {
@@ -215,6 +220,7 @@ impl Watch<'_> {
         }
         let now = Duration::from_nanos(receipt.monotonic_ns.unsigned_abs());
         self.note_losses(header, now);
+        self.note_eye(header);
         if let Some(table) = self.table.as_mut().filter(|_| !is_stale) {
             table.add(&sweep, latency_us, &self.client);
         }
@@ -255,6 +261,19 @@ impl Watch<'_> {
             Turn::Over(lasted) => recent.over(lasted),
         };
         complain("note", format_args!("{}: {message}", header.name()));
+    }
+
+    /// Reports once what the sensor no longer sees, and once that it does again, as the daemon does.
+    fn note_eye(&mut self, header: &Header) {
+        let bits = header.flags & flags::NOT_SEEING;
+        let was = std::mem::replace(&mut self.eye, bits);
+        if bits & !was != 0
+            && let Some(sentence) = eye_sentence(bits)
+        {
+            complain("note", format_args!("{}: {sentence}", header.name()));
+        } else if bits == 0 && was != 0 {
+            complain("note", format_args!("{}: it sees again", header.name()));
+        }
     }
 
     /// Why no sweep came.

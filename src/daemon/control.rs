@@ -345,6 +345,8 @@ impl Control {
             let mut dark = sensor.counters.dark_beams();
             dark.retain(DarkBeam::is_warning);
             watcher.observe_beams(dark).iter().for_each(log);
+            let eye = sensor.counters.eye();
+            watcher.observe_eye(eye).iter().for_each(log);
         }
         let hanging = self.pulse.observe(
             now,

@@ -212,6 +212,7 @@ pub struct SensorCounters {
     /// Degrees Celsius plus [`TEMPERATURE_BIAS`]; 0 means "not sent".
     temperature: AtomicI32,
     dark_beams: DarkBeamsByRow,
+    eye: AtomicU32,
 }
 
 /// Channel and turns of the dark beam of each row, in one number so that they belong together; 0 for
@@ -387,6 +388,12 @@ impl SensorCounters {
         self.model.store(header.model, Relaxed);
         self.return_mode.store(header.return_mode().byte(), Relaxed);
         self.rpm.store(header.rpm.to_bits(), Relaxed);
+        self.eye.store(header.flags & flags::NOT_SEEING, Relaxed);
+    }
+
+    /// Bits of [`flags::NOT_SEEING`], from the newest sweep.
+    pub fn eye(&self) -> u32 {
+        self.eye.load(Relaxed)
     }
 
     /// The model, after the first sweep.

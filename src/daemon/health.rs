@@ -15,6 +15,7 @@ use super::state::{Condition, State};
 use crate::judge::{Finding, Remark, Severity, Topic};
 use crate::strangers::Stranger;
 use sweepd_client::host::realtime_ns;
+use sweepd_core::sweep::eye::eye_faults;
 use sweepd_core::wire::data::ReturnMode;
 
 /// State of the daemon at a moment.
@@ -226,6 +227,7 @@ fn sensor(sensor: &SensorStatus, is: &Condition) -> Value {
         "returns": counters.return_mode().map(|mode| if mode == ReturnMode::Dual { 2 } else { 1 }),
         "temperature_c": counters.temperature_c(),
         "gps": counters.gps().map(|gps| gps.word()),
+        "eye": eye_faults(counters.eye()).map(|fault| fault.name).collect::<Vec<_>>(),
         "dark_beams": beams::json(&counters.dark_beams()),
         "floor": floor::json(&is.floor.0, &is.floor.1),
         "shared_bytes": sensor.sharing.reserved_bytes(),

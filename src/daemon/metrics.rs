@@ -18,6 +18,7 @@ use super::record::RecordingsStatus;
 use super::runtime::{PortStatus, SensorStatus};
 use super::state::{Condition, State};
 use sweepd_core::pipeline::DarkBeam;
+use sweepd_core::sweep::eye::EYE_FAULTS;
 
 use Metric::{Now, Total};
 
@@ -190,7 +191,16 @@ impl Snapshot {
                 (labels, Now(u8::from(state == condition.state).into()))
             })
         });
-        family(to, "state", help, None, states)
+        family(to, "state", help, None, states)?;
+        let help = "1 where the sensor no longer sees what it should, by what is wrong";
+        let faults = self.sensors.iter().flat_map(|sensor| {
+            EYE_FAULTS.into_iter().map(move |fault| {
+                let labels = with(sensor_label(sensor), "fault", fault.name);
+                let is_told = sensor.counters.eye() & fault.flag != 0;
+                (labels, Now(u8::from(is_told).into()))
+            })
+        });
+        family(to, "eye", help, None, faults)
     }
 
     fn stages(&self, to: &mut DescriptorEncoder<'_>) -> fmt::Result {

@@ -9,7 +9,7 @@ use std::time::Duration;
 use changes::Changes;
 
 use super::losses::{Level, Limits, Losses, Recent, SensorAddress, Tally, Turn};
-use crate::judge::{Finding, Remark, Severity, Topic};
+use crate::judge::{self, Finding, Remark, Severity, Topic};
 use crate::sensor_settings::{FieldOfView, Settings};
 use crate::strangers::Cause;
 use crate::{beams, floor, gps};
@@ -18,6 +18,7 @@ use sweepd_core::floor::Sight;
 use sweepd_core::pipeline::DarkBeam;
 use sweepd_core::segment::Mount;
 use sweepd_core::sensor::{Model, detect};
+use sweepd_core::sweep::eye::{eye_faults, eye_sentence};
 use sweepd_core::sweep::layout::TimeSource;
 use sweepd_core::wire::data::ReturnMode;
 use sweepd_core::wire::position::Pps;
@@ -43,6 +44,8 @@ pub enum State {
     SpinningUp,
     /// Sweeps come.
     Streaming,
+    /// Sweeps come, but do not show what is there: see [`eye_faults`].
+    NotSeeing,
     /// More packets are lost or unusable than the first limit allows: see [`Limits::warning`].
     Losing,
     /// The same above the second limit: see [`Limits::fault`].
@@ -57,10 +60,11 @@ pub enum State {
 
 impl State {
     /// All of them.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Waiting,
         Self::SpinningUp,
         Self::Streaming,
+        Self::NotSeeing,
         Self::Losing,
         Self::LosingMany,
         Self::Stalled,
@@ -74,6 +78,7 @@ impl State {
             Self::Waiting => "waiting",
             Self::SpinningUp => "spinning up",
             Self::Streaming => "streaming",
+            Self::NotSeeing => "not seeing",
             Self::Losing => "losing packets",
             Self::LosingMany => "losing many packets",
             Self::Stalled => "stalled",
@@ -210,6 +215,8 @@ pub struct Watcher {
     unlike: Vec<(&'static str, String)>,
     /// The beams that have been dark for so long that people are to be warned.
     dark: Vec<DarkBeam>,
+    /// Bits of the newest sweep that say that it does not see.
+    eye: u32,
     floor: (Sight, Mount),
     /// The clock of its sweeps, and what is doubtful about GPS time.
     time: (TimeSource, Option<GpsDoubt>),
@@ -248,6 +255,7 @@ impl Watcher {
             is_off_speed: false,
             unlike: Vec::new(),
             dark: Vec::new(),
+            eye: 0,
             floor: Default::default(),
             time: (TimeSource::Host, None),
             remarks: Vec::new(),
@@ -260,6 +268,9 @@ impl Watcher {
     /// How the sensor is.
     pub fn state(&self) -> State {
         match (self.state, self.losses.level()) {
+            (State::Streaming, _) if eye_faults(self.eye).any(|fault| fault.is_fault) => {
+                State::NotSeeing
+            }
             (State::Streaming, Some(Level::Warning)) => State::Losing,
             // Losses so high that no sweep is steady count too.
             (State::Streaming | State::SpinningUp, Some(Level::Fault)) => State::LosingMany,
@@ -325,7 +336,9 @@ impl Watcher {
     /// What is wrong with it and what else is worth knowing, its state first.
     fn findings(&self) -> Vec<Finding> {
         let mut all = match (self.state(), &self.hindrance) {
-            (State::Streaming | State::Losing | State::LosingMany, _) => self.shortcomings(),
+            (State::Streaming | State::NotSeeing | State::Losing | State::LosingMany, _) => {
+                self.shortcomings()
+            }
             (State::Waiting | State::Stalled, _) => vec![self.silence()],
             (State::WrongModel, Some(Hindrance::WrongModel(why))) => {
                 vec![Finding::new(Severity::Error, Topic::Model, why, "")]
@@ -339,11 +352,11 @@ impl Watcher {
 
     /// What is not as it should be while packets come.
     fn shortcomings(&self) -> Vec<Finding> {
-        let mut all = Vec::new();
-        let loses = match self.state() {
-            State::Losing => Some(Severity::Warning),
-            State::LosingMany => Some(Severity::Error),
-            _ => None,
+        let mut all = judge::of_eye(self.eye);
+        let loses = match self.losses.level() {
+            Some(Level::Warning) => Some(Severity::Warning),
+            Some(Level::Fault) => Some(Severity::Error),
+            None => None,
         };
         if let Some((severity, recent)) = loses.zip(self.losses.recent()) {
             let what = recent.what(&self.place);
@@ -527,6 +540,18 @@ impl Watcher {
         is_over.then(|| self.message(false, BEAMS_ARE_BACK))
     }
 
+    /// Takes the bits of the newest sweep that say that it does not see, and gives a message if they
+    /// are others than before.
+    pub fn observe_eye(&mut self, bits: u32) -> Option<Message> {
+        let was = std::mem::replace(&mut self.eye, bits);
+        if bits & !was != 0 {
+            let sentence = eye_sentence(bits)?;
+            return Some(self.message(true, &sentence));
+        }
+        let is_over = bits == 0 && was != 0;
+        is_over.then(|| self.message(false, "it sees again"))
+    }
+
     /// Takes what is seen of the floor, and gives the message: how the sensor is mounted by it, and
     /// whether that is how it is set.
     pub fn see_floor(&mut self, sight: Sight, set: Mount) -> Message {
@@ -605,10 +630,12 @@ impl Watcher {
                 );
                 self.message(false, &text)
             }
-            State::Streaming | State::Losing | State::LosingMany => match running {
-                Some(running) => self.message(false, &format!("streaming, {running}")),
-                None => self.message(false, "streaming"),
-            },
+            State::Streaming | State::NotSeeing | State::Losing | State::LosingMany => {
+                match running {
+                    Some(running) => self.message(false, &format!("streaming, {running}")),
+                    None => self.message(false, "streaming"),
+                }
+            }
             State::WrongModel => {
                 let why = self.findings().first().map(Finding::to_string);
                 self.message(true, &why.unwrap_or_default())

@@ -1,7 +1,10 @@
 //! Says "stop" while the box of an object reaches into a box ahead of the robot, and how old its
 //! newest return is:
 //!
-//!     cargo run --release -p sweepd-client --example stop -- roof
+//!     cargo run --release -p sweepd-client --example stop -- roof [MODEL]
+//!
+//! It also says so while sweeps stay away for 0.3 s, while the sensor does not see what it should, and
+//! of a sweep of another model: a number of docs/layout.md, by default that of the first sweep.
 //!
 //! The box stands on the floor. In the robot's frame the sensor is `z_m` of `[sensor.mount]` over
 //! the origin, and over the floor its height, configured as `height_m` or estimated: the floor is
@@ -11,23 +14,49 @@
 //! objects. `cargo run --release --example obstacles` prints what is seen by sensor, height and
 //! distance.
 
-use std::time::{Duration, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 
 use sweepd_client::client::Client;
-use sweepd_client::sweep::Frame;
+use sweepd_client::sweep::eye::eye_sentence;
 use sweepd_client::sweep::objects::flags;
+use sweepd_client::sweep::{Frame, Header};
 
 /// The box, least and greatest x (right), y (ahead) and z (up from the floor), metres.
 const STOP_M: [[f64; 3]; 2] = [[-1.0, 0.5, 0.05], [1.0, 5.0, 2.0]];
 
+/// A sensor that is well gives a sweep at least this often: it turns five times a second or faster.
+const SILENCE: Duration = Duration::from_millis(300);
+
+/// Says "stop" if the sensor of a sweep is not of the model, or does not see.
+fn look(name: &str, header: &Header, model: u32) {
+    if header.model != model {
+        println!("stop: {name} is of model {}, not {model}", header.model);
+    }
+    if let Some(sentence) = eye_sentence(header.flags) {
+        println!("stop: {name}: {sentence}");
+    }
+}
+
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let name = std::env::args().nth(1).ok_or("which sensor?")?;
-    let mut objects = Client::new(&name)?.objects()?;
+    let mut model: Option<u32> = std::env::args()
+        .nth(2)
+        .map(|code| code.parse())
+        .transpose()?;
+    let mut client = Client::new(&name)?;
+    let mut objects = client.objects()?;
+    let mut heard: Option<Instant> = None;
     loop {
-        let Some(message) = objects.next(Duration::from_secs(1))?.received() else {
+        let message = objects.next(SILENCE)?.received();
+        while let Some(sweep) = client.next(Duration::ZERO)?.received() {
+            heard = Some(Instant::now());
+            let header = sweep.view()?.header;
+            look(&name, header, *model.get_or_insert(header.model));
+        }
+        if message.is_none() || heard.is_none_or(|heard| heard.elapsed() > SILENCE) {
             println!("stop: nothing is heard of {name}");
-            continue;
-        };
+        }
+        let Some(message) = message else { continue };
         let view = message.view()?;
         if view.header.flags & flags::NO_HEIGHT != 0 {
             println!("stop: the height of {name} is not known yet");

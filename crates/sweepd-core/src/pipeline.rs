@@ -17,6 +17,7 @@ mod config;
 mod dark_beams;
 mod decoding;
 mod event;
+mod eye;
 mod identify;
 mod report;
 mod state;
@@ -26,6 +27,7 @@ pub use crate::assemble::order::ClockBreaks;
 pub use config::Config;
 pub use dark_beams::{DarkBeam, DarkBeams};
 pub use event::Event;
+pub use eye::{EyeLimits, EyeMeasures};
 pub use report::{Counts, Fault, Notice};
 pub use timed::TimedSegmenter;
 
@@ -42,6 +44,7 @@ use crate::sweep::SweepMut;
 use crate::wire::{Content, Packet, TIMES_NS};
 use decoding::{Decoding, LatePacket};
 use event::ObjectsOf;
+use eye::Eye;
 use fearless_simd::Level;
 use identify::{Handover, NumberedPacket, Setup};
 use report::Report;
@@ -52,7 +55,7 @@ pub struct Pipeline {
     setup: Setup,
     state: State,
     segmenter: TimedSegmenter,
-    dark_beams: DarkBeams,
+    eye: Eye,
     /// The sweep that the next objects are of.
     objects_of: ObjectsOf,
     /// Whether the next poll may segment the open sweep.
@@ -156,6 +159,8 @@ pub struct Status<'a> {
     pub dark_beams: &'a DarkBeams,
     /// The time of its GPS receiver, unless its packets cannot be decoded.
     pub gps: Option<&'a GpsTime>,
+    /// How near the newest whole turn came to what is told of the eye; `None` before the first.
+    pub eye: Option<EyeMeasures>,
 }
 
 impl Pipeline {
@@ -182,6 +187,7 @@ impl Pipeline {
             ..Handover::default()
         };
         Ok(Self {
+            eye: Eye::new(config.eye),
             state: State::detecting(config.model, options.unit, handover),
             setup: Setup {
                 config,
@@ -189,7 +195,6 @@ impl Pipeline {
                 level: options.level,
             },
             segmenter: TimedSegmenter::new(segmenter, options.clock),
-            dark_beams: DarkBeams::default(),
             objects_of: ObjectsOf::default(),
             is_idle: false,
             labels: options.labels,
@@ -315,11 +320,11 @@ impl Pipeline {
             self.state = State::detecting(self.setup.config.model, None, handover);
             // The next sensor may sit elsewhere.
             self.segmenter.forget_height();
-            self.dark_beams = DarkBeams::default();
+            self.eye.forget();
         }
     }
 
-    /// Labels a whole sweep, in place; writes where the sensor sits, and looks for dark beams.
+    /// Labels a whole sweep, in place; writes where the sensor sits, and whether it sees.
     fn complete(&mut self, buffer: &mut dyn OpenBuffer) {
         let Ok(mut sweep) = SweepMut::open(buffer.bytes()) else {
             return;
@@ -332,8 +337,7 @@ impl Pipeline {
         sweep.header.yaw_rad = self.setup.config.yaw_rad;
         let remover =
             (self.state.decoding()).and_then(|decoding| decoding.builder.remover.as_ref());
-        let removed_rows = remover.map_or(0, |remover| remover.rows);
-        self.dark_beams.look(&sweep.as_ref(), removed_rows);
+        self.eye.look(&mut sweep, remover.map(Box::as_ref));
         if self.segmenter.objects().is_some() {
             let config = &self.setup.config.segment;
             self.objects_of = ObjectsOf::complete(sweep.header, config);
@@ -400,8 +404,9 @@ impl Pipeline {
             clock_breaks: decoding.map(Decoding::clock_breaks).unwrap_or_default(),
             unit: self.state.unit(),
             field_of_view_deg: limits_cdeg.map(|(start, end)| (start / 100.0, end / 100.0)),
-            dark_beams: &self.dark_beams,
+            dark_beams: &self.eye.dark_beams,
             gps: self.state.clocks().map(Clocks::gps),
+            eye: self.eye.measures(),
         }
     }
 

@@ -12,6 +12,7 @@ use sweepd_client::host::realtime_ns;
 use sweepd_messages::diagnostics::{self, Level, Status};
 use sweepd_ros2::{Publisher, Subscriber};
 use sweepd_sweep::Header;
+use sweepd_sweep::eye::{eye_faults, eye_sentence};
 
 use crate::bridge::{Bridge, PATIENCE, Tally, Topic, model};
 
@@ -182,6 +183,13 @@ fn judge(tally: &Tally, before: &Tally, rate: f64, said: Option<&Value>) -> (Lev
     if said.is_some_and(|said| said["is_fault"] == true) {
         return (Level::Error, words);
     }
+    // Without a daemon that is asked, the header tells it.
+    let bits = tally.newest.as_ref().map_or(0, |(header, _)| header.flags);
+    let level = match eye_faults(bits).any(|fault| fault.is_fault) {
+        true => Level::Error,
+        false => Level::Warn,
+    };
+    let unseen = eye_sentence(bits).map(|sentence| (level, sentence));
     match &tally.newest {
         None => return (Level::Stale, "no sweep yet".to_owned()),
         Some((_, at)) if at.elapsed() >= PATIENCE => {
@@ -192,6 +200,9 @@ fn judge(tally: &Tally, before: &Tally, rate: f64, said: Option<&Value>) -> (Lev
     }
     if reason.is_some() {
         return (Level::Warn, words);
+    }
+    if let Some((level, sentence)) = unseen {
+        return (level, sentence);
     }
     let lost = tally.lost_packets.saturating_sub(before.lost_packets);
     let dropped = tally

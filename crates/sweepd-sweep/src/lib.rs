@@ -3,7 +3,8 @@
 //! [`layout`] defines the bytes, which are those in shared memory; [`objects`] those of objects that
 //! are published while the head still turns. [`image`] has the views over them, [`corrected`] the
 //! conversion of distances to ranges and back, [`pose`] brings points into other frames, [`sensor`]
-//! has the models and return modes that a header names.
+//! has the models and return modes that a header names, [`eye`] the words for what a sensor no longer
+//! sees.
 //!
 //! It reads no file, clock or socket, and starts no thread.
 
@@ -11,6 +12,7 @@
 #![warn(missing_docs)]
 
 pub mod corrected;
+pub mod eye;
 pub mod image;
 pub mod layout;
 pub mod objects;

@@ -7,6 +7,7 @@ use sweepd_core::floor::{FloorFinder, Sight};
 use sweepd_core::pipeline::{Config, DarkBeam, Labels, Options, Pipeline};
 use sweepd_core::segment::{ConfigError, Mount};
 use sweepd_core::sweep::SweepRef;
+use sweepd_core::sweep::eye::eye_faults;
 use sweepd_core::wire::Packet;
 
 /// Decodes the sweeps of a sensor.
@@ -14,6 +15,8 @@ pub struct Turns {
     pipeline: Pipeline,
     memory: Memory<HeapBuffers>,
     floor: FloorFinder,
+    /// All flags of its sweeps.
+    flags: u32,
     /// The mount that was said, if one was.
     said: Option<Mount>,
 }
@@ -32,6 +35,7 @@ impl Turns {
             pipeline: Pipeline::with_options("", Config::default(), options)?,
             memory: Memory::default(),
             floor: FloorFinder::new(said.unwrap_or_default()),
+            flags: 0,
             said,
         })
     }
@@ -45,15 +49,21 @@ impl Turns {
                 && let Ok(sweep) = SweepRef::open(bytes.as_ref())
             {
                 self.floor.look(&sweep);
+                self.flags |= sweep.header.flags;
             }
         }
     }
 
-    /// Adds rows for the beams that are dark at the end, if there are any, and for the floor.
+    /// Adds rows for the beams that are dark at the end, for what the sensor did not see, and for the
+    /// floor.
     pub fn describe(&self, text: &mut String) {
         let dark: Vec<DarkBeam> = self.pipeline.status().dark_beams.iter().collect();
         if let Some(sentence) = beams::sentence(&dark) {
             row(text, "dark beams", sentence);
+        }
+        for fault in eye_faults(self.flags) {
+            let words = format_args!("{}: {}: {}", fault.name, fault.what, fault.cure);
+            row(text, "eye", words);
         }
         self.describe_floor(text);
     }

@@ -29,6 +29,9 @@ use sweepd_core::sweep::layout::ReturnChoice;
 const PORTS: RangeInclusive<i64> = 1..=u16::MAX as i64;
 /// Shares of packets that may be missing, percent.
 pub const LOSS_PERCENT: RangeInclusive<f64> = 0.1..=100.0;
+/// Where a cover is seen, metres, and the share of returns that is few, percent.
+const EYE_NEAR_M: RangeInclusive<f64> = 0.0..=10.0;
+const EYE_PERCENT: RangeInclusive<f64> = 0.0..=90.0;
 /// Distances from the origin of a robot, metres, and turns, degrees.
 const POSITION_M: RangeInclusive<f64> = -100.0..=100.0;
 const TURN_DEG: RangeInclusive<f64> = -360.0..=360.0;
@@ -163,6 +166,11 @@ table! {
     /// from the second on, /health answers 503.
     loss_warning_percent = 3, Number(LOSS_PERCENT, "percent", share) [losses.warning], Reload percent;
     loss_fault_percent = 20, Number(LOSS_PERCENT, "percent", share) [losses.fault], Reload percent;
+    /// Turns in a row (0: never) after which a sensor that sends is said not to see: no return, all all around nearer than eye_near_m, the
+    /// same turn after turn, dark where it looks down to the ground, or less than eye_least_percent of the returns of before.
+    eye_turns = 10, Whole(0..=1_000_000; u32) [pipeline.eye.turns], Reload text;
+    eye_near_m = 1, Number(EYE_NEAR_M, "metres", metres) [pipeline.eye.near_m], Reload text;
+    eye_least_percent = 10, Number(EYE_PERCENT, "percent", share) [pipeline.eye.least_share], Reload percent;
     /// Consumers at most, 1 to 16. Each takes memory for four sweeps more.
     max_consumers = 4, Whole(1..=16; usize) [max_consumers], Restart text;
     /// Objects while the head turns, if a consumer of them is connected: how long complete objects may wait for more, 1 to 100 ms

@@ -1,6 +1,7 @@
 use super::*;
 use crate::sensor_settings::{Returns, Rpm};
 use sweepd_core::floor::Floor;
+use sweepd_core::sweep::layout::flags;
 
 const RUNNING: Running = Running {
     model: Model::Vlp16,
@@ -389,6 +390,36 @@ fn losses_are_a_state_beside_streaming() {
         (is.state, is.complaint, is.is_fault, is.losses),
         (State::Streaming, None, false, None)
     );
+}
+
+#[test]
+fn a_sensor_that_does_not_see_is_a_fault_and_one_that_is_dark_in_part_a_warning() {
+    let mut roof = Watched::new(Some(600));
+    roof.observe(5, 75, 1);
+    let told = roof.watcher.observe_eye(flags::BLIND).unwrap();
+    assert!(told.is_warning && told.text.starts_with("roof: blind: not one shot returns: "));
+    assert_eq!(roof.watcher.observe_eye(flags::BLIND), None);
+    let is = roof.watcher.condition();
+    assert_eq!((is.state, is.is_fault), (State::NotSeeing, true));
+    assert!(is.complaint.is_some_and(|why| why.contains("window")));
+    assert!(
+        roof.watcher
+            .observe_eye(flags::DARK_BELOW)
+            .unwrap()
+            .is_warning
+    );
+    let is = roof.watcher.condition();
+    assert_eq!((is.state, is.is_fault), (State::Streaming, false));
+    assert!(
+        is.complaint
+            .is_some_and(|why| why.starts_with("dark below"))
+    );
+    let told = roof.watcher.observe_eye(0).unwrap();
+    assert_eq!(
+        (told.is_warning, &told.text[..]),
+        (false, "roof: it sees again")
+    );
+    assert_eq!(roof.watcher.condition().complaint, None);
 }
 
 #[test]

@@ -6,7 +6,7 @@ use super::Findings;
 use crate::doctor::observe::{Observations, ObservedSensor, PortResult, PositionSender};
 use crate::doctor::plan::ExpectedSensor;
 use crate::doctor::{Severity, Topic};
-use crate::judge::Remark;
+use crate::judge::{self, Remark};
 use crate::{beams, floor, gps};
 use sweepd_core::assemble::GpsDoubt;
 use sweepd_core::floor::Sight;
@@ -275,6 +275,9 @@ impl SensorCheck<'_> {
     }
 
     fn beams(&mut self) {
+        for finding in judge::of_eye(self.sensor.flags) {
+            self.findings.0.push(finding.of(&self.name));
+        }
         let dark = &self.sensor.dark_beams;
         if let Some(sentence) = beams::sentence(dark) {
             let severity = match dark.iter().any(DarkBeam::is_warning) {

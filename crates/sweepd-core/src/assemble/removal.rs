@@ -3,6 +3,7 @@
 //! They are taken out as soon as a firing is in the image. So segments, objects and all consumers
 //! agree, as if the sensor had not measured them.
 
+use std::f32::consts::TAU;
 use std::fmt;
 use std::ops::{Range, RangeInclusive};
 use std::str::FromStr;
@@ -20,6 +21,14 @@ const MAX_BOX_M: f64 = 100.0;
 const BEAM_OFFSET_M: f64 = 0.5;
 /// What turns the kind of a return into that of the other of its pair.
 const OTHER_KIND: u8 = ReturnKind::Strongest as u8 | ReturnKind::Last as u8 | SECOND_BLOCKS;
+
+/// Sectors of a turn, for what is known of each.
+pub const SECTORS: usize = 12;
+
+/// The sector of an azimuth, radians from 0 to a whole turn.
+pub fn sector(azimuth_rad: f32) -> usize {
+    ((azimuth_rad / TAU * SECTORS as f32) as usize).min(SECTORS - 1)
+}
 
 /// Which returns are removed.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -113,6 +122,10 @@ pub struct Remover {
     pub removed: u64,
     /// Rows, a bit each, of which returns were removed since [`Remover::begin`].
     pub rows: u128,
+    /// The same of the [`SECTORS`].
+    pub sectors: u32,
+    /// How many were removed since.
+    pub taken: u32,
 }
 
 impl Remover {
@@ -145,12 +158,14 @@ impl Remover {
             reach_m: reach_m as f32,
             removed: 0,
             rows: 0,
+            sectors: 0,
+            taken: 0,
         })
     }
 
     /// Another sweep begins.
     pub fn begin(&mut self) {
-        self.rows = 0;
+        (self.rows, self.sectors, self.taken) = (0, 0, 0);
     }
 
     /// Takes returns out of these firings of a sweep, by column; gives how many.
@@ -161,13 +176,18 @@ impl Remover {
             if !firing.is_measured() {
                 continue;
             }
+            let before = removed;
             for row in 0..sweep.beams.len() {
                 let taken = self.remove_from(sweep, &firing, at, row);
                 self.rows |= u128::from(taken > 0) << row;
                 removed += taken;
             }
+            if removed > before {
+                self.sectors |= 1 << sector(firing.azimuth_rad);
+            }
         }
         self.removed += u64::from(removed);
+        self.taken += removed;
         removed
     }
 

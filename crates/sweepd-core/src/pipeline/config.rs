@@ -1,5 +1,6 @@
 //! The configuration of a pipeline.
 
+use super::eye::EyeLimits;
 use crate::assemble::Removal;
 use crate::segment;
 use crate::sensor::{Calibration, Model};
@@ -22,6 +23,8 @@ pub struct Config {
     pub return_choice: ReturnChoice,
     /// How sweeps are segmented.
     pub segment: segment::Config,
+    /// When a sensor is said no longer to see.
+    pub eye: EyeLimits,
     /// Which returns no sweep has.
     pub removal: Removal,
     /// Times are UTC where the sentence of the GPS receiver is valid, though the sensor does not
@@ -43,6 +46,7 @@ impl Default for Config {
             cut_azimuth_rad: 0.0,
             return_choice: ReturnChoice::Nearest,
             segment: segment::Config::default(),
+            eye: EyeLimits::default(),
             removal: Removal::default(),
             gps_without_pps: false,
             position_m: [0.0; 3],

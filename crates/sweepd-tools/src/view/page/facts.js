@@ -1,7 +1,7 @@
 // Words about what is shown: the facts of a sweep and of the sensor, and what the selection is.
 
 import {
-  BLANKED, CIRCULAR, CHOICE_LAST, CHOICE_STRONGEST, HEIGHT_ESTIMATED, KIND_LAST, LABEL_GROUND, LABEL_NONE, LOSS_ESTIMATED,
+  BLANKED, BLIND, CIRCULAR, COVERED, DARK_BELOW, FADED, FROZEN, CHOICE_LAST, CHOICE_STRONGEST, HEIGHT_ESTIMATED, KIND_LAST, LABEL_GROUND, LABEL_NONE, LOSS_ESTIMATED,
   MODELS, MODE_DUAL, MODE_LAST, PARTIAL, RATE_UNSTABLE, REVERSED, STOPPED, TIME_GPS, moved,
   movedSegment,
 } from "./sweep.js";
@@ -15,6 +15,11 @@ const FLAGS = [
   [RATE_UNSTABLE, "turning rate unstable"],
   [STOPPED, "the head stands still"],
   [LOSS_ESTIMATED, "losses estimated"],
+  [BLIND, "blind: no returns"],
+  [COVERED, "covered: all is near"],
+  [FROZEN, "frozen: turns are alike"],
+  [FADED, "faded: far fewer returns"],
+  [DARK_BELOW, "dark below the horizon"],
 ];
 
 /** "0.46 m", with a minus as people write it. */

@@ -22,6 +22,12 @@ export const RATE_UNSTABLE = 16;
 export const STOPPED = 32;
 export const HEIGHT_ESTIMATED = 64;
 export const LOSS_ESTIMATED = 128;
+export const BLIND = 256;
+export const COVERED = 512;
+export const FROZEN = 1024;
+export const FADED = 2048;
+export const DARK_BELOW = 4096;
+export const NOT_SEEING = 7936;
 
 // Which clock time_ns is in.
 export const TIME_HOST = 0;
