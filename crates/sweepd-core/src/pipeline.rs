@@ -336,8 +336,8 @@ impl Pipeline {
         sweep.header.position_m = self.setup.config.position_m;
         sweep.header.yaw_rad = self.setup.config.yaw_rad;
         let remover =
-            (self.state.decoding()).and_then(|decoding| decoding.builder.remover.as_ref());
-        self.eye.look(&mut sweep, remover.map(Box::as_ref));
+            (self.state.decoding()).and_then(|decoding| decoding.builder.remover.as_deref());
+        self.eye.look(&mut sweep, remover);
         if self.segmenter.objects().is_some() {
             let config = &self.setup.config.segment;
             self.objects_of = ObjectsOf::complete(sweep.header, config);

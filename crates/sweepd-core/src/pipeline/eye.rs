@@ -378,7 +378,7 @@ impl Eye {
     fn of_best(&mut self, returned: f32) -> f32 {
         let (best, turns) = &mut self.best;
         let of_best = match *turns >= LEARNING_TURNS {
-            true => returned / best.max(f32::MIN_POSITIVE),
+            true => returned / (*best).max(f32::MIN_POSITIVE),
             false => 1.0,
         };
         if f64::from(of_best) >= self.limits.least_share {
