@@ -1,5 +1,5 @@
-//! A simulated sensor whose eye fails is told by the bits of the header; one that sees is not. The table
-//! of docs/eye.md is from here.
+//! A simulated sensor whose eye fails is told by the bits of the header; one that sees is not. A table shows
+//! how near captures and scenes come to each limit.
 
 use std::path::Path;
 
@@ -196,7 +196,7 @@ fn captures(folder: &Path) -> Vec<std::path::PathBuf> {
 }
 
 #[test]
-#[ignore = "prints the table of docs/eye.md, and takes a while"]
+#[ignore = "prints a table, and takes a while"]
 fn no_capture_and_no_scene_is_called_a_fault() {
     let own = Path::new("pcap_fixtures").to_owned();
     let data = std::env::var_os("SWEEPD_DATA").unwrap_or_else(|| "../shared/data".into());
