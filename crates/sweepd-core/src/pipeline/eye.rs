@@ -2,16 +2,20 @@
 //! flags.
 //!
 //! ```text
-//! blind     no shot returned
+//! blind     hardly a shot returned
 //! covered   nearly all returns are near, in nearly all sectors
-//! frozen    each row has one range or reflectivity alone, or all are those of the turn before
-//! faded     far fewer shots returned than in the best of the last turns
+//! frozen    each row has one range or reflectivity alone, or all are those of the turn right before
+//! faded     far fewer shots returned than in the best of the last turns: of all, and of those to near
+//!           ground, since under the open sky only the latter go on to return
 //! dark      a row or sector that looks down to near ground no longer returns; or none such ever has
 //! ```
 //!
 //! A rule must hold for some turns in a row, and is over after as many without. Returns that the
 //! configuration removes count as returns. All but the first rule look at a few columns, so that a
 //! look costs little.
+//!
+//! A capture in a loop repeats its turns, but none is like the one right before, unless it has a single
+//! turn: that is what a frozen sensor sends.
 
 use super::dark_beams::DarkBeams;
 use crate::assemble::removal::{Remover, SECTORS, sector};
@@ -24,6 +28,8 @@ use crate::sweep::layout::{flags, is_return};
 const COLUMNS: usize = 6 * SECTORS;
 /// Fewest of them that tell something.
 const LEAST_COLUMNS: u32 = 12;
+/// Share of shots that return from nothing: noise of a sensor that is blind.
+const BLIND: f32 = 0.000_5;
 /// Share of the returns that are near, and of the sectors that have returns, of a covered sensor.
 const COVERED: [f32; 2] = [0.97, 0.9];
 /// Fewest shots of all that return from a cover: fewer are dirt, not a cover all around.
@@ -32,16 +38,22 @@ const LEAST_COVER: f32 = 0.05;
 const PEAK_KEPT: f32 = 1.0 - 1.0 / 16_384.0;
 /// Turns until that best is known.
 const LEARNING_TURNS: u32 = 30;
+/// Least best share of the shots to near ground that tells something: water does not return.
+const LEAST_GROUND: f32 = 0.05;
 /// A row or sector that usually returned from this share of its shots is dark below the other.
 const DARK: [f32; 2] = [0.5, 0.02];
-/// Weight of a turn in what is usual.
-const USUAL_WEIGHT: f32 = 1.0 / 16.0;
+/// Weight of a turn in what is usual, if it has more than that and if it has less. What grows dim
+/// within minutes was bright.
+const USUAL_WEIGHTS: [f32; 2] = [1.0 / 16.0, 1.0 / 4096.0];
+/// Fewest columns of a sector that tell something of it.
+const LEAST_SECTOR_COLUMNS: u32 = 3;
 /// Ground beyond this need not return, metres, and the steepest angle that counts whatever the
 /// height, as a sine; the height where it is unknown.
 const GROUND_M: f32 = 15.0;
 const LEAST_SINE: f32 = 0.05;
 const USUAL_HEIGHT_M: f32 = 2.0;
-/// Share of the rows that have one value alone, of a frozen sensor.
+/// Share of the rows that have one value alone, or of columns like those of the turn before, of a
+/// frozen sensor.
 const FROZEN: f32 = 0.9;
 /// Fewest returns of a row of which this is asked, and of a turn.
 const LEAST_ROW_RETURNS: u32 = 8;
@@ -75,10 +87,11 @@ pub struct EyeMeasures {
     pub returned: f32,
     /// Share of the returns that are near, where nearly all sectors have some, otherwise 0.
     pub near: f32,
-    /// Greatest share of rows with one range or one reflectivity alone; 1 for a turn like the one
-    /// before.
+    /// Greatest share of rows with one range or one reflectivity alone, or of columns with those of
+    /// the turn right before.
     pub alike: f32,
-    /// Returns as a share of the best of before; 1 while that is not known.
+    /// Returns as a share of the best of before, of all shots or of those to near ground, whichever
+    /// is more; 1 while that is not known.
     pub of_best: f32,
     /// Least share of shots that returned, of a row or sector that looks down and did return; 1 if
     /// there is none.
@@ -114,9 +127,25 @@ impl Usual {
     fn take(&mut self, share: f32) -> f32 {
         let was_bright = self.0 >= DARK[0];
         if !was_bright || share > DARK[1] {
-            self.0 += (share - self.0) * USUAL_WEIGHT;
+            let [up, down] = USUAL_WEIGHTS;
+            let weight = if share > self.0 { up } else { down };
+            self.0 += (share - self.0) * weight;
         }
         if was_bright { share } else { 1.0 }
+    }
+}
+
+/// The best share of before.
+#[derive(Clone, Copy, Debug, Default)]
+struct Best(f32);
+
+impl Best {
+    fn take(&mut self, share: f32) {
+        self.0 = (self.0 * PEAK_KEPT).max(share);
+    }
+
+    fn share(self, share: f32) -> f32 {
+        (share / self.0.max(f32::MIN_POSITIVE)).min(1.0)
     }
 }
 
@@ -155,9 +184,11 @@ struct Sample {
     /// Rows that look down, a bit each.
     low_rows: u128,
     near: u32,
-    /// Hashes of ranges and of reflectivities.
-    hashes: [u64; 2],
+    hashes: Hashes,
 }
+
+/// Hashes of ranges and of reflectivities of each column; 0 without returns.
+type Hashes = [[u64; 2]; COLUMNS];
 
 impl Sample {
     fn new(sweep: &SweepRef<'_>, near_m: f32) -> Self {
@@ -168,38 +199,65 @@ impl Sample {
             below: [0; SECTORS],
             low_rows: low_rows(sweep),
             near: 0,
-            hashes: [0; 2],
+            hashes: [[0; 2]; COLUMNS],
         };
         let step = sweep.columns.len().div_ceil(COLUMNS).max(1);
-        let columns = sweep.columns.iter().enumerate().step_by(step);
-        for (at, column) in columns.filter(|(_, column)| column.is_measured()) {
-            sample.column(sweep, at, sector(column.azimuth_rad), near_m);
+        for (number, at) in (0..sweep.columns.len()).step_by(step).enumerate() {
+            if sweep.columns[at].is_measured() {
+                sample.hashes[number] = sample.column(sweep, at, near_m);
+            }
         }
         sample
     }
 
-    fn column(&mut self, sweep: &SweepRef<'_>, at: usize, sector: usize, near_m: f32) {
+    /// Takes a column, and gives its hashes.
+    fn column(&mut self, sweep: &SweepRef<'_>, at: usize, near_m: f32) -> [u64; 2] {
         let rows = sweep.rows();
+        let sector = sector(sweep.columns[at].azimuth_rad);
         let pixels = at * rows..(at + 1) * rows;
         let ranges_m = &sweep.range[pixels.clone()];
         let reflectivities = &sweep.reflectivity[pixels];
         let mut returned = 0_u128;
+        let mut hashes = [0; 2];
         for (row, (&range_m, &reflectivity)) in ranges_m.iter().zip(reflectivities).enumerate() {
             if is_return(range_m) {
                 self.rows[row].note(range_m, reflectivity);
                 self.near += u32::from(range_m <= near_m);
                 returned |= 1 << row;
-                self.hashes[0] = hash(self.hashes[0], range_m.to_bits());
-                self.hashes[1] = hash(self.hashes[1], reflectivity.into());
+                hashes[0] = hash(hashes[0], range_m.to_bits());
+                // Not 0, since that stands for no return.
+                hashes[1] = hash(hashes[1], u32::from(reflectivity) + 1);
             }
         }
         self.columns[sector] += 1;
         self.returns[sector] += returned.count_ones();
         self.below[sector] += (returned & self.low_rows).count_ones();
+        hashes
     }
 
     fn returns(&self) -> u32 {
         self.returns.iter().sum()
+    }
+
+    /// Share of the shots of rows that look down that returned; 0 without any.
+    fn ground(&self) -> f32 {
+        let columns: u32 = self.columns.iter().sum();
+        let shots = columns * self.low_rows.count_ones();
+        self.below.iter().sum::<u32>() as f32 / shots.max(1) as f32
+    }
+
+    /// Shares of the columns with the ranges and with the reflectivities of those of another turn, of
+    /// the columns that have returns in both.
+    fn repeats(&self, before: &Hashes) -> [f32; 2] {
+        let [mut both, mut ranges, mut reflectivities] = [0_u32; 3];
+        for (now, before) in self.hashes.iter().zip(before) {
+            if now[0] != 0 && before[0] != 0 {
+                both += 1;
+                ranges += u32::from(now[0] == before[0]);
+                reflectivities += u32::from(now[1] == before[1]);
+            }
+        }
+        [ranges, reflectivities].map(|alike| alike as f32 / both.max(LEAST_COLUMNS) as f32)
     }
 
     /// As in [`EyeMeasures::near`].
@@ -261,15 +319,19 @@ pub struct Eye {
     /// Beams that are dark between others.
     pub dark_beams: DarkBeams,
     rules: [Patience; 5],
-    /// Best share of returns, and turns of which it is.
-    best: (f32, u32),
+    /// Best shares of returns, of all shots and of those of rows that look down, and turns of which
+    /// they are.
+    best: [Best; 2],
+    learned_turns: u32,
     rows: [Usual; MAX_ROWS],
     sectors: [Usual; SECTORS],
     /// Whether a row that looks down has ever returned.
     has_seen_ground: bool,
     /// Whether reflectivities have ever differed.
     has_reflectivity: bool,
-    hashes: [u64; 2],
+    /// Those of the newest turn, and its number.
+    hashes: Hashes,
+    sequence: u64,
     /// Of the newest turn.
     measures: Option<EyeMeasures>,
 }
@@ -281,12 +343,14 @@ impl Eye {
             limits,
             dark_beams: DarkBeams::default(),
             rules: [Patience::default(); 5],
-            best: (0.0, 0),
+            best: [Best::default(); 2],
+            learned_turns: 0,
             rows: [Usual::default(); MAX_ROWS],
             sectors: [Usual::default(); SECTORS],
             has_seen_ground: false,
             has_reflectivity: false,
-            hashes: [0; 2],
+            hashes: [[0; 2]; COLUMNS],
+            sequence: 0,
             measures: None,
         }
     }
@@ -331,18 +395,18 @@ impl Eye {
             return;
         }
         let shots = columns * sweep.rows() as u32;
-        let taken = remover.map_or(0, |remover| remover.taken) as f32;
-        let taken = taken / (sweep.rows() * sweep.columns.len()) as f32;
-        let returned = (sample.returns() as f32 / shots as f32 + taken).min(1.0);
+        let all_shots = (sweep.rows() * sweep.columns.len()) as f32;
+        let taken = remover.map_or(0, |remover| remover.taken);
+        let in_sample = sample.returns() as f32 / shots as f32 + taken as f32 / all_shots;
         let measures = EyeMeasures {
-            returned,
+            returned: ((sweep.header.returns + taken) as f32 / all_shots).min(1.0),
             near: sample.near(shots),
-            alike: self.alike(&sample),
-            of_best: self.of_best(returned),
+            alike: self.alike(&sample, sweep.header.sequence),
+            of_best: self.of_best(in_sample.min(1.0), &sample, remover),
             below: self.below(&sample, sweep.rows(), remover),
         };
         self.measures = Some(measures);
-        let is_blind = sweep.header.returns == 0 && taken == 0.0;
+        let is_blind = measures.returned <= BLIND;
         let holds = [
             is_blind,
             measures.near >= COVERED[0],
@@ -356,36 +420,47 @@ impl Eye {
         }
     }
 
-    fn alike(&mut self, sample: &Sample) -> f32 {
-        let [ranges, reflectivities] = sample.alike();
+    /// As in [`EyeMeasures::alike`].
+    fn alike(&mut self, sample: &Sample, sequence: u64) -> f32 {
         let before = std::mem::replace(&mut self.hashes, sample.hashes);
+        let number_before = std::mem::replace(&mut self.sequence, sequence);
         if sample.returns() < LEAST_RETURNS {
             return 0.0;
         }
+        let [mut ranges, mut reflectivities] = sample.alike();
         let had_reflectivity = self.has_reflectivity;
         self.has_reflectivity |= reflectivities < FROZEN;
-        if before[0] == sample.hashes[0] || had_reflectivity && before[1] == sample.hashes[1] {
-            return 1.0;
+        if number_before.checked_add(1) == Some(sequence) {
+            let repeats = sample.repeats(&before);
+            ranges = ranges.max(repeats[0]);
+            reflectivities = reflectivities.max(repeats[1]);
         }
-        let reflectivities = if had_reflectivity {
-            reflectivities
+        if had_reflectivity {
+            ranges.max(reflectivities)
         } else {
-            0.0
-        };
-        ranges.max(reflectivities)
+            ranges
+        }
     }
 
-    fn of_best(&mut self, returned: f32) -> f32 {
-        let (best, turns) = &mut self.best;
-        let of_best = match *turns >= LEARNING_TURNS {
-            true => returned / (*best).max(f32::MIN_POSITIVE),
-            false => 1.0,
-        };
-        if f64::from(of_best) >= self.limits.least_share {
-            *best = (*best * PEAK_KEPT).max(returned);
-            *turns = turns.saturating_add(1);
+    /// As in [`EyeMeasures::of_best`], of a turn with this share of returns.
+    fn of_best(&mut self, returned: f32, sample: &Sample, remover: Option<&Remover>) -> f32 {
+        let ground = sample.ground();
+        let mut of_best = 1.0;
+        if self.learned_turns >= LEARNING_TURNS {
+            let [all, below] = self.best;
+            of_best = all.share(returned);
+            // Of removed returns it is not known how many are of the ground.
+            let removed_rows = remover.map_or(0, |remover| remover.rows);
+            if below.0 >= LEAST_GROUND && removed_rows & sample.low_rows == 0 {
+                of_best = of_best.max(below.share(ground));
+            }
         }
-        of_best.min(1.0)
+        if f64::from(of_best) >= self.limits.least_share {
+            self.best[0].take(returned);
+            self.best[1].take(ground);
+            self.learned_turns = self.learned_turns.saturating_add(1);
+        }
+        of_best
     }
 
     /// As in [`EyeMeasures::below`]. Where returns were removed it is not dark.
@@ -402,13 +477,14 @@ impl Eye {
         let low_rows = sample.low_rows.count_ones();
         for (sector, usual) in self.sectors.iter_mut().enumerate() {
             let shots = sample.columns[sector] * low_rows;
-            if shots > 0 && removed_sectors >> sector & 1 == 0 {
+            let tells = shots > 0 && sample.columns[sector] >= LEAST_SECTOR_COLUMNS;
+            if tells && removed_sectors >> sector & 1 == 0 {
                 least = least.min(usual.take(sample.below[sector] as f32 / shots as f32));
             }
         }
         let below: u32 = sample.below.iter().sum();
         let above = sample.returns() - below;
-        self.has_seen_ground |= below > 0 || removed_rows != 0;
+        self.has_seen_ground |= sample.ground() > DARK[1] || removed_rows != 0;
         let high_shots = columns * (rows as u32 - low_rows.min(rows as u32));
         if !self.has_seen_ground && low_rows > 1 && above * 20 > high_shots {
             return 0.0;
