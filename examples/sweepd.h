@@ -51,12 +51,12 @@ extern "C" {
 #define SWEEPD_STOPPED 32u /* the head stands still */
 #define SWEEPD_HEIGHT_ESTIMATED 64u /* the mounting height was estimated from the sweeps and not configured */
 #define SWEEPD_LOSS_ESTIMATED 128u /* lost_packets is an estimate */
-#define SWEEPD_BLIND 256u /* no shot has returned for eye_turns turns */
+#define SWEEPD_BLIND 256u /* hardly a shot has returned for eye_turns turns */
 #define SWEEPD_COVERED 512u /* nearly all returns are within eye_near_m, all around */
 #define SWEEPD_FROZEN 1024u /* ranges or reflectivities are the same, turn after turn */
-#define SWEEPD_FADED 2048u /* less than eye_least_percent of the returns of before are left */
-#define SWEEPD_DARK_BELOW 4096u /* beams or a sector that look down to the ground nearby do not return */
-#define SWEEPD_NOT_SEEING 7936u /* all bits that say that the sensor does not see what it should */
+#define SWEEPD_FADED 2048u /* less than eye_least_percent of the returns of before are left, also of those from near ground */
+#define SWEEPD_DARK_BELOW 4096u /* beams or a sector that look down to near ground do not return */
+#define SWEEPD_NOT_SEEING 0x1F00u /* all bits that say that the sensor does not see what it should */
 
 /* Which clock time_ns is in. */
 #define SWEEPD_TIME_HOST 0u /* the clock of the host or the capture */

@@ -22,7 +22,7 @@ pub const EYE_FAULTS: [EyeFault; 5] = [
     EyeFault {
         flag: flags::BLIND,
         name: "blind",
-        what: "not one shot returns",
+        what: "hardly a shot returns",
         cure: "take off what covers the window, look whether `sweepd sensor` says that its lasers are on, and restart it; if it \
              stays so, its receiver has failed. A sensor that sees only sky needs `eye_turns = 0`",
         is_fault: true,
@@ -39,7 +39,7 @@ pub const EYE_FAULTS: [EyeFault; 5] = [
         flag: flags::FROZEN,
         name: "frozen",
         what: "ranges or reflectivities are the same, turn after turn",
-        cure: "restart the sensor; if it stays so, it has failed. A capture of one turn that is sent again and again looks \
+        cure: "restart the sensor; if it stays so, it has failed. One turn of a capture that is sent again and again looks \
              like this, too",
         is_fault: true,
     },
@@ -48,15 +48,15 @@ pub const EYE_FAULTS: [EyeFault; 5] = [
         name: "faded",
         what: "far fewer shots return than before",
         cure: "wipe dirt, water or ice from the window; in smoke, fog or dust wait until it has settled; if it stays so, its \
-             lasers have failed. If what it sees now is right, a reload begins to count anew",
+             lasers have failed. Over water or in the air, `eye_least_percent` must be smaller: 0 for never",
         is_fault: true,
     },
     EyeFault {
         flag: flags::DARK_BELOW,
         name: "dark below the horizon",
         what: "beams or a sector that look down to the ground nearby do not return",
-        cure: "clean the window, and look whether something stands before it, nearer than it can measure; if it stays so, \
-             lasers or detectors have failed",
+        cure: "clean the window, and look whether a wall or a thing is nearer than it can measure, and whether the ground there \
+             is water, a mirror or a drop; if it stays so, lasers or detectors have failed",
         is_fault: false,
     },
 ];

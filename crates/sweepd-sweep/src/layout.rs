@@ -78,15 +78,15 @@ pub mod flags {
     /// [`Header::lost_packets`](super::Header::lost_packets) is an estimate: the packets of a
     /// VLS-128 have no steady period, and too many are missing to count them by their stamps.
     pub const LOSS_ESTIMATED: u32 = 1 << 7;
-    /// No shot has returned for `eye_turns` turns.
+    /// Hardly a shot has returned for `eye_turns` turns.
     pub const BLIND: u32 = 1 << 8;
     /// Nearly all returns are within `eye_near_m`, all around.
     pub const COVERED: u32 = 1 << 9;
     /// Ranges or reflectivities are the same, turn after turn.
     pub const FROZEN: u32 = 1 << 10;
-    /// Less than `eye_least_percent` of the returns of before are left.
+    /// Less than `eye_least_percent` of the returns of before are left, also of those from near ground.
     pub const FADED: u32 = 1 << 11;
-    /// Beams or a sector that look down to the ground nearby do not return.
+    /// Beams or a sector that look down to near ground do not return.
     pub const DARK_BELOW: u32 = 1 << 12;
     /// All bits that say that the sensor does not see what it should.
     pub const NOT_SEEING: u32 = 0x1F00;

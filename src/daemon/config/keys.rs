@@ -166,8 +166,8 @@ table! {
     /// from the second on, /health answers 503.
     loss_warning_percent = 3, Number(LOSS_PERCENT, "percent", share) [losses.warning], Reload percent;
     loss_fault_percent = 20, Number(LOSS_PERCENT, "percent", share) [losses.fault], Reload percent;
-    /// Turns in a row (0: never) after which a sensor that sends is said not to see: no return, all all around nearer than eye_near_m, the
-    /// same turn after turn, dark where it looks down to the ground, or less than eye_least_percent of the returns of before.
+    /// Turns in a row (0: never) after which a sensor that sends is said not to see: no return, all around nothing beyond eye_near_m, the
+    /// same turn after turn, dark where it looks down to near ground, or less than eye_least_percent of the returns of before.
     eye_turns = 10, Whole(0..=1_000_000; u32) [pipeline.eye.turns], Reload text;
     eye_near_m = 1, Number(EYE_NEAR_M, "metres", metres) [pipeline.eye.near_m], Reload text;
     eye_least_percent = 10, Number(EYE_PERCENT, "percent", share) [pipeline.eye.least_share], Reload percent;

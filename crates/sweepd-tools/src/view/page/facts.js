@@ -1,9 +1,9 @@
 // Words about what is shown: the facts of a sweep and of the sensor, and what the selection is.
 
 import {
-  BLANKED, BLIND, CIRCULAR, COVERED, DARK_BELOW, FADED, FROZEN, CHOICE_LAST, CHOICE_STRONGEST, HEIGHT_ESTIMATED, KIND_LAST, LABEL_GROUND, LABEL_NONE, LOSS_ESTIMATED,
-  MODELS, MODE_DUAL, MODE_LAST, PARTIAL, RATE_UNSTABLE, REVERSED, STOPPED, TIME_GPS, moved,
-  movedSegment,
+  BLANKED, BLIND, CIRCULAR, CHOICE_LAST, CHOICE_STRONGEST, COVERED, DARK_BELOW, FADED, FROZEN, HEIGHT_ESTIMATED, KIND_LAST,
+  LABEL_GROUND, LABEL_NONE, LOSS_ESTIMATED, MODELS, MODE_DUAL, MODE_LAST, PARTIAL, RATE_UNSTABLE, REVERSED, STOPPED, TIME_GPS,
+  moved, movedSegment,
 } from "./sweep.js";
 import * as palette from "./palette.js";
 
@@ -15,7 +15,7 @@ const FLAGS = [
   [RATE_UNSTABLE, "turning rate unstable"],
   [STOPPED, "the head stands still"],
   [LOSS_ESTIMATED, "losses estimated"],
-  [BLIND, "blind: no returns"],
+  [BLIND, "blind: hardly a return"],
   [COVERED, "covered: all is near"],
   [FROZEN, "frozen: turns are alike"],
   [FADED, "faded: far fewer returns"],

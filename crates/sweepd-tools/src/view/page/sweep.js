@@ -27,7 +27,7 @@ export const COVERED = 512;
 export const FROZEN = 1024;
 export const FADED = 2048;
 export const DARK_BELOW = 4096;
-export const NOT_SEEING = 7936;
+export const NOT_SEEING = 0x1F00;
 
 // Which clock time_ns is in.
 export const TIME_HOST = 0;
