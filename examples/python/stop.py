@@ -1,7 +1,9 @@
-"""Says "stop" while an object reaches into a box ahead of the robot, and how old its newest return is: stop.py SENSOR [MODEL].
+"""Says "stop" while an object reaches into a box ahead of the robot, and how old its newest return is.
 
-It also says so while sweeps stay away for 0.3 s, while the sensor does not see what it should, and of a sweep of another model:
-a number of docs/layout.md, by default that of the first sweep.
+    stop.py SENSOR [MODEL]
+
+It also says so while sweeps stay away for 0.3 s, while the sensor does not see what it should, and of a sweep of
+another model: a number of docs/layout.md, by default that of the first sweep.
 
 The box stands on the floor. In the robot's frame the sensor is `z_m` of `[sensor.mount]` over the origin, and over the
 floor its height, configured as `height_m` or estimated: the floor is where these say, but never above the origin.

@@ -13,7 +13,7 @@ use sweepd::sweep::{Pose, SweepMut, SweepRef};
 use zerocopy::{FromBytes, IntoBytes};
 
 use super::common::{python_with_iceoryx2, temp_domain};
-use super::python::{Talk, loans, publish};
+use super::python::{Talk, loans, numbered, publish};
 use super::sweeps::Source;
 use super::{folder, objects, of_project};
 use sweepd_lab::testkit::TempDomain;
@@ -329,6 +329,58 @@ fn stop_is_said_of_what_is_in_the_box_and_while_nothing_is_known() {
         objects::publish(&mut loans, objects::message(&floor));
         let said = lines().find(|line| line != SILENCE);
         assert!(said.is_some_and(|said| said.contains("no z_m")));
+        interrupt(&stop);
+        assert_eq!(stop.end().signal(), Some(2));
+    }
+}
+
+/// Sends an empty sweep of a model with these flags, and gives the number of its consumers.
+fn publish_flags(loans: &mut Loans, sequence: u64, model: u32, bits: u32) -> usize {
+    let mut slot = numbered(loans, sequence);
+    let sweep = SweepMut::open(slot.as_mut()).unwrap();
+    (sweep.header.model, sweep.header.flags) = (model, bits);
+    slot.publish().unwrap()
+}
+
+#[test]
+#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
+fn stop_is_said_of_a_sensor_that_does_not_see_and_of_another() {
+    let (rust, python) = (rust_example("stop"), python_with_iceoryx2());
+    let script = of_project("examples/python/stop.py");
+    for (program, blind) in [
+        (&[rust.as_os_str()][..], "stop: roof: blind: "),
+        (&[&python, script.as_os_str()], "flags are 0x100"),
+    ] {
+        let own = temp_domain();
+        let (mut sweeps, mut told) = (loans(&own), objects::loans(&own));
+        let root = format!("SWEEPD_ROOT={}", own.root().display());
+        let args = [&[root.as_ref()], program, &["roof".as_ref()]].concat();
+        let mut stop = Talk::start("env".as_ref(), &args);
+        let mut is_there = false;
+        for sequence in 0..1000 {
+            is_there = publish_flags(&mut sweeps, sequence, 1, 0) == 1;
+            objects::publish(&mut told, objects::message(&objects::honest()));
+            if is_there {
+                break;
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        assert!(is_there);
+        for (model, bits, words) in [(1, 0x100, blind), (2, 0, "is of model 2, not 1")] {
+            publish_flags(&mut sweeps, 1000, model, bits);
+            objects::publish(&mut told, objects::message(&objects::honest()));
+            let said = std::iter::repeat_with(|| stop.line());
+            assert!(said.take(100).any(|line| line.contains(words)), "{words}");
+        }
+        // Objects alone are not enough.
+        let mut has_said = false;
+        for _ in 0..20 {
+            objects::publish(&mut told, objects::message(&objects::honest()));
+            while let Some(line) = stop.try_line(Duration::from_millis(50)) {
+                has_said |= line == "stop: nothing is heard of roof";
+            }
+        }
+        assert!(has_said);
         interrupt(&stop);
         assert_eq!(stop.end().signal(), Some(2));
     }

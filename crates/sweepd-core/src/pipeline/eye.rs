@@ -492,3 +492,23 @@ impl Eye {
         least
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_grows_dark_within_minutes_was_bright_and_what_always_was_dim_was_not() {
+        let mut usual = Usual::default();
+        for turn in 0..1200 {
+            let share = 1.0 - (turn as f32 - 100.0).max(0.0) / 1100.0;
+            assert_eq!(usual.take(share), if turn < 11 { 1.0 } else { share });
+        }
+        assert_eq!(usual.take(0.0), 0.0);
+        let mut dim = Usual::default();
+        for _ in 0..100 {
+            dim.take(0.4);
+        }
+        assert_eq!(dim.take(0.0), 1.0);
+    }
+}
