@@ -150,27 +150,23 @@ impl Best {
 }
 
 /// What a row has in the columns that are looked at.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 struct RowSample {
     returns: u32,
-    range_m: [f32; 2],
-    reflectivity: [u8; 2],
+    /// Bits of the first range, and the first reflectivity.
+    first: (u32, u8),
+    /// Bits in which others differ from it.
+    changes: (u32, u8),
 }
 
 impl RowSample {
-    const EMPTY: Self = Self {
-        returns: 0,
-        range_m: [f32::INFINITY, 0.0],
-        reflectivity: [u8::MAX, 0],
-    };
-
-    fn note(&mut self, range_m: f32, reflectivity: u8) {
+    fn note(&mut self, range: u32, reflectivity: u8) {
+        if self.returns == 0 {
+            self.first = (range, reflectivity);
+        }
         self.returns += 1;
-        self.range_m = [self.range_m[0].min(range_m), self.range_m[1].max(range_m)];
-        self.reflectivity = [
-            self.reflectivity[0].min(reflectivity),
-            self.reflectivity[1].max(reflectivity),
-        ];
+        self.changes.0 |= range ^ self.first.0;
+        self.changes.1 |= reflectivity ^ self.first.1;
     }
 }
 
@@ -193,7 +189,7 @@ type Hashes = [[u64; 2]; COLUMNS];
 impl Sample {
     fn new(sweep: &SweepRef<'_>, near_m: f32) -> Self {
         let mut sample = Self {
-            rows: [RowSample::EMPTY; MAX_ROWS],
+            rows: [RowSample::default(); MAX_ROWS],
             columns: [0; SECTORS],
             returns: [0; SECTORS],
             below: [0; SECTORS],
@@ -217,18 +213,23 @@ impl Sample {
         let pixels = at * rows..(at + 1) * rows;
         let ranges_m = &sweep.range[pixels.clone()];
         let reflectivities = &sweep.reflectivity[pixels];
-        let mut returned = 0_u128;
+        let (mut returned, mut near) = (0_u128, 0_u32);
         let mut hashes = [0; 2];
-        for (row, (&range_m, &reflectivity)) in ranges_m.iter().zip(reflectivities).enumerate() {
+        let mut bit = 1_u128;
+        for ((row, &range_m), &reflectivity) in
+            self.rows.iter_mut().zip(ranges_m).zip(reflectivities)
+        {
             if is_return(range_m) {
-                self.rows[row].note(range_m, reflectivity);
-                self.near += u32::from(range_m <= near_m);
-                returned |= 1 << row;
+                row.note(range_m.to_bits(), reflectivity);
+                near += u32::from(range_m <= near_m);
+                returned |= bit;
                 hashes[0] = hash(hashes[0], range_m.to_bits());
                 // Not 0, since that stands for no return.
                 hashes[1] = hash(hashes[1], u32::from(reflectivity) + 1);
             }
+            bit <<= 1;
         }
+        self.near += near;
         self.columns[sector] += 1;
         self.returns[sector] += returned.count_ones();
         self.below[sector] += (returned & self.low_rows).count_ones();
@@ -284,8 +285,8 @@ impl Sample {
             .filter(|row| row.returns >= LEAST_ROW_RETURNS)
         {
             rows += 1;
-            ranges += u32::from(row.range_m[0] == row.range_m[1]);
-            reflectivities += u32::from(row.reflectivity[0] == row.reflectivity[1]);
+            ranges += u32::from(row.changes.0 == 0);
+            reflectivities += u32::from(row.changes.1 == 0);
         }
         [ranges, reflectivities].map(|alike| alike as f32 / rows.max(2) as f32)
     }
