@@ -284,7 +284,7 @@ fn captured(path: &PathBuf) -> Stream {
     stream
 }
 
-/// Of a turn or more, in a loop.
+/// In a loop, so that each rule has its turns; a capture of less than a turn tells nothing.
 #[test]
 #[cfg_attr(not(feature = "slow-tests"), ignore = "slow, and prints a table")]
 fn no_capture_is_called_a_fault() {
@@ -301,7 +301,9 @@ fn no_capture_is_called_a_fault() {
             }
             player.play(&stream);
         }
-        is_clear &= player.row(&path.file_name().unwrap().to_string_lossy());
+        if !player.bits.is_empty() {
+            is_clear &= player.row(&path.file_name().unwrap().to_string_lossy());
+        }
     }
     assert!(is_clear);
 }
@@ -312,22 +314,17 @@ fn no_scene_is_called_a_fault() {
     let mut is_clear = true;
     for setting in Setting::ALL {
         for model in [Model::Vlp16, Model::Hdl32e] {
-            for metres_a_second in [0.0, 0.3] {
-                let (scene, mut emitter) = sensor(setting, model, 45.0);
-                emitter.motion.velocity.y = metres_a_second;
-                let mut player = Player::new(Config::default());
-                player.play(&simulated((scene, emitter)));
-                let name = setting.name();
-                is_clear &= player.row(&format!("{name}, {model}, {metres_a_second} m/s"));
-            }
+            let (scene, mut emitter) = sensor(setting, model, 45.0);
+            emitter.motion.velocity.y = 0.3;
+            let mut player = Player::new(Config::default());
+            player.play(&simulated((scene, emitter)));
+            is_clear &= player.row(&format!("{}, {model}", setting.name()));
         }
     }
     for away_m in [0.6, 0.45, 0.25] {
         let mut player = Player::new(Config::default());
         player.play(&simulated(beside_wall(Model::Vlp16, away_m, 45.0)));
-        is_clear &= player.row(&format!(
-            "corridor, VLP-16, {away_m} m from the wall from the start on"
-        ));
+        is_clear &= player.row(&format!("corridor, VLP-16, {away_m} m from the wall"));
     }
     for height_m in [0.3, 4.0, 12.0] {
         let (scene, mut emitter) = sensor(Setting::Field, Model::Vlp16, 45.0);

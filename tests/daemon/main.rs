@@ -6,6 +6,7 @@ mod child;
 mod common;
 mod control;
 mod counting;
+mod eye;
 mod http;
 mod losses;
 mod ports;
