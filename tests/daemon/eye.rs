@@ -41,5 +41,8 @@ fn the_eye_of_a_sensor_without_returns_is_told_with_cause_and_cure() {
     let metric = metrics
         .lines()
         .find(|line| line.starts_with("sweepd_eye{") && line.contains("fault=\"blind\""));
-    assert!(metric.is_some_and(|line| line.ends_with(" 1.0")), "{metrics}");
+    assert!(
+        metric.is_some_and(|line| line.ends_with(" 1.0")),
+        "{metrics}"
+    );
 }

@@ -397,7 +397,12 @@ fn a_sensor_that_does_not_see_is_a_fault_and_one_that_is_dark_in_part_a_warning(
     let mut roof = Watched::new(Some(600));
     roof.observe(5, 75, 1);
     let told = roof.watcher.observe_eye(flags::BLIND).unwrap();
-    assert!(told.is_warning && told.text.starts_with("roof: blind: hardly a shot returns: "));
+    assert!(
+        told.is_warning
+            && told
+                .text
+                .starts_with("roof: blind: hardly a shot returns: ")
+    );
     assert_eq!(roof.watcher.observe_eye(flags::BLIND), None);
     let is = roof.watcher.condition();
     assert_eq!((is.state, is.is_fault), (State::NotSeeing, true));
