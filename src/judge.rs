@@ -128,7 +128,7 @@ impl fmt::Display for Finding {
 }
 
 /// Greatest error of a clock, seconds: beyond it, times no longer fit those of other sensors.
-const CLOCK_OFF_S: f64 = 0.1;
+pub const CLOCK_OFF_S: f64 = 0.1;
 
 /// A fact about a sensor that the daemon and the doctor both find out.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -236,7 +236,6 @@ impl Remark {
                 let cure = "if that is not meant, set FOV Start 0 and FOV End 359 on its web page and press Save";
                 return Some(Finding::new(Severity::Note, Topic::View, what, cure));
             }
-            Self::HostClock(ahead_s) if ahead_s.abs() <= CLOCK_OFF_S => return None,
             Self::HostClock(ahead_s) => (
                 Topic::Clock,
                 format!(

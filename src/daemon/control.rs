@@ -641,6 +641,7 @@ fn observation(counters: &SensorCounters, now: Duration) -> Observation {
             restarts: counters.restarts.get(),
             clock_jumps: counters.clock_jumps.get(),
             pulse: counters.pulse(),
+            host_ahead_s: counters.host_ahead_s(),
             is_view_limited: counters.is_view_limited(),
         },
     }

@@ -12,7 +12,7 @@ use super::losses::Recent;
 use super::record::RecordingsStatus;
 use super::runtime::{PortStatus, SensorStatus};
 use super::state::{Condition, State};
-use crate::judge::{Finding, Remark, Severity, Topic};
+use crate::judge::{Finding, Severity, Topic};
 use crate::strangers::Stranger;
 use sweepd_client::host::realtime_ns;
 use sweepd_core::sweep::eye::eye_faults;
@@ -142,9 +142,7 @@ impl View {
     fn findings(&self) -> Vec<Finding> {
         let mut findings = Vec::new();
         for (sensor, condition) in self.sensors.iter().zip(&self.conditions) {
-            let ahead = sensor.counters.host_ahead_s().map(Remark::HostClock);
-            let ahead = ahead.and_then(|ahead| ahead.finding());
-            let all = condition.findings.iter().cloned().chain(ahead);
+            let all = condition.findings.iter().cloned();
             findings.extend(all.map(|finding| finding.of(&sensor.name)));
         }
         for fault in self.other_faults() {

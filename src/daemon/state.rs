@@ -6,7 +6,7 @@ mod changes;
 use std::fmt;
 use std::time::Duration;
 
-use changes::Changes;
+use changes::{Changes, HostClock};
 
 use super::losses::{Level, Limits, Losses, Recent, SensorAddress, Tally, Turn};
 use crate::judge::{self, Finding, Remark, Severity, Topic};
@@ -124,6 +124,8 @@ pub struct Facts {
     pub clock_jumps: u64,
     /// The pulse per second, and whether the GPS receiver has a fix, if there is one.
     pub pulse: Option<(Pps, Option<bool>)>,
+    /// How far the host's clock is ahead of UTC by GPS, seconds, where GPS vouches for it.
+    pub host_ahead_s: Option<f64>,
     /// Whether it leaves out a part of each turn.
     pub is_view_limited: bool,
 }
@@ -225,6 +227,7 @@ pub struct Watcher {
     /// What is wrong with its calibration.
     calibration: Option<Remark>,
     changes: Changes,
+    host_clock: HostClock,
     /// Model and mode as last logged.
     told: Option<(Model, ReturnMode)>,
 }
@@ -261,6 +264,7 @@ impl Watcher {
             remarks: Vec::new(),
             calibration: None,
             changes: Changes::default(),
+            host_clock: HostClock::default(),
             told: None,
         }
     }
@@ -453,6 +457,10 @@ impl Watcher {
         }
         let gps = (facts.pulse).and_then(|(pps, fix)| Remark::of_gps(model, pps, fix));
         remarks.extend(gps);
+        // The doubt has both dates.
+        let is_far = matches!(self.time.1, Some(GpsDoubt::Far { .. }));
+        let ahead_s = facts.host_ahead_s.filter(|_| !is_far);
+        remarks.extend(self.host_clock.take(now.now, ahead_s));
         if facts.is_view_limited && self.want.fov.is_none() {
             remarks.push(Remark::LimitedView);
         }

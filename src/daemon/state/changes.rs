@@ -1,16 +1,20 @@
-//! How often a sensor restarted, its clock jumped, and its packets became those of another model.
+//! How often a sensor restarted, its clock jumped, and its packets became those of another model; how
+//! long the clock of this host has been off.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
 use super::Observation;
-use crate::judge::Remark;
+use crate::judge::{CLOCK_OFF_S, Remark};
 use sweepd_core::sensor::Model;
 
 /// How long a change is remembered.
 const RECENTLY: Duration = Duration::from_secs(600);
 /// Most changes of a kind that are remembered.
 const REMEMBERED: usize = 100;
+
+/// The clock of this host is off when it is for so long: a packet may wait.
+const OFF_FOR: Duration = Duration::from_secs(5);
 
 /// The changes of a sensor.
 #[derive(Clone, Debug, Default)]
@@ -38,6 +42,29 @@ impl Changes {
         remarks.extend(exchanges.map(|times| Remark::Exchanges { times, within }));
         remarks.extend(clock_jumps.map(|times| Remark::ClockJumps { times, within }));
         remarks
+    }
+}
+
+/// Whether the clock of this host is off UTC by GPS.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct HostClock {
+    off_since: Option<Duration>,
+    is_told: bool,
+}
+
+impl HostClock {
+    /// Takes by how many seconds it is ahead. What is told is over at half the limit.
+    pub fn take(&mut self, now: Duration, ahead_s: Option<f64>) -> Option<Remark> {
+        let limit_s = if self.is_told {
+            CLOCK_OFF_S / 2.0
+        } else {
+            CLOCK_OFF_S
+        };
+        let off_s = ahead_s.filter(|ahead_s| ahead_s.abs() > limit_s);
+        let since = off_s.map(|_| self.off_since.unwrap_or(now));
+        self.off_since = since;
+        self.is_told = since.is_some_and(|since| now - since >= OFF_FOR);
+        off_s.filter(|_| self.is_told).map(Remark::HostClock)
     }
 }
 

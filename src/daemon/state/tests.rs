@@ -555,3 +555,32 @@ fn a_sensor_that_is_silent_has_no_losses() {
         ["roof: streaming, VLP-16 at 600 rpm, one return"]
     );
 }
+
+#[test]
+fn a_clock_of_this_host_that_stays_off_is_told_once_and_when_it_is_over() {
+    let mut roof = Watched::new(None);
+    roof.observe(5, 75, 1);
+    // A packet that waits is no clock that is off.
+    for (ahead_s, tenths, told) in [
+        (5.0, 20, 0),
+        (0.01, 5, 0),
+        (0.2, 60, 1),
+        (0.07, 60, 0),
+        (0.04, 5, 1),
+    ] {
+        roof.seen.facts.host_ahead_s = Some(ahead_s);
+        let texts = roof.observe(tenths, 75, 1);
+        assert_eq!(texts.len(), told, "{ahead_s}: {texts:?}");
+        let is_off = roof
+            .watcher
+            .complaint()
+            .is_some_and(|why| why.contains("ahead of the sensor's GPS time"));
+        assert_eq!(is_off, [0.2, 0.07].contains(&ahead_s));
+    }
+    // The doubt about the receiver has both dates.
+    let (said_ns, host_ns) = (1, i64::MAX);
+    roof.watcher
+        .see_time(TimeSource::Gps, Some(GpsDoubt::Far { said_ns, host_ns }));
+    roof.seen.facts.host_ahead_s = Some(9e9);
+    assert_eq!(roof.observe(60, 75, 1), [""; 0]);
+}

@@ -6,7 +6,7 @@ use super::Findings;
 use crate::doctor::observe::{Observations, ObservedSensor, PortResult, PositionSender};
 use crate::doctor::plan::ExpectedSensor;
 use crate::doctor::{Severity, Topic};
-use crate::judge::{self, Remark};
+use crate::judge::{self, CLOCK_OFF_S, Remark};
 use crate::{beams, floor, gps};
 use sweepd_core::assemble::GpsDoubt;
 use sweepd_core::floor::Sight;
@@ -316,7 +316,8 @@ impl SensorCheck<'_> {
             self.findings.0.push(gps::finding(doubt).of(&self.name));
         }
         let is_told = matches!(self.sensor.gps_doubt, Some(GpsDoubt::Far { .. }));
-        let ahead = self.sensor.host_ahead_s.filter(|_| !is_told);
+        let ahead =
+            (self.sensor.host_ahead_s).filter(|ahead_s| !is_told && ahead_s.abs() > CLOCK_OFF_S);
         if let Some(ahead) = ahead {
             self.remark(Remark::HostClock(ahead));
         }
