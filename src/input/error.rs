@@ -19,7 +19,7 @@ pub enum CaptureError {
     },
     /// The file is something else.
     #[error(
-        "{name} is no capture: it holds {found}; expected pcap or pcapng, plain or compressed with gzip or zstd, or a ROS bag \
+        "{name} is no capture: it holds {found}; expected pcap or pcapng, plain or compressed with gzip, zstd, bzip2 or lz4, or a ROS bag \
          (.mcap, .db3, .bag, or the folder of a ROS 2 bag). \
          Check the path, or record one with `tcpdump -i INTERFACE -w FILE.pcap udp`"
     )]
@@ -28,6 +28,18 @@ pub enum CaptureError {
         name: String,
         /// What its first bytes look like.
         found: String,
+    },
+    /// An archive or a compressed file that is not unpacked.
+    #[error(
+        "{name} is packed with {format}, which is not read here: `{command} FILE | sweepd replay -` unpacks it on the way"
+    )]
+    Archive {
+        /// The path as it was given, or `standard input`.
+        name: String,
+        /// The format.
+        format: &'static str,
+        /// The command that unpacks a file to its standard output.
+        command: &'static str,
     },
     /// A bag without packets.
     #[error("{name} is a bag without velodyne_msgs/VelodyneScan, the packets of a sensor: {found}")]
@@ -104,7 +116,7 @@ pub enum Damage {
     /// The compressed stream is cut or corrupt.
     #[error("the {format} stream is cut or corrupt: {message}")]
     Compression {
-        /// `gzip` or `zstd`.
+        /// `gzip` or `zstd`, for example.
         format: &'static str,
         /// What the decompressor says.
         message: String,
@@ -158,7 +170,7 @@ pub enum Damage {
     /// A bag whose recorder did not come to its end.
     #[error("the bag is unfinished: its recorder was stopped before it wrote the end")]
     Unfinished,
-    /// A record of a bag that contradicts itself.
+    /// A record of a bag that contradicts itself, or bare packets that are none.
     #[error("its {what} is damaged")]
     BagRecord {
         /// The part of the record.

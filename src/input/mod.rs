@@ -3,6 +3,7 @@
 //! * [`pcap`]: the records of a pcap or pcapng file, plain or compressed.
 //! * [`link`]: the UDP datagram in a frame.
 //! * [`Capture`]: both together, with counts of all skipped records; and the packets of ROS bags.
+//! * Bare packets, without capture records.
 //! * [`db3`]: the program that reads the databases of rosbag2.
 //! * [`udp`]: the datagrams of live sensors.
 //! * [`pace`]: when to send each datagram of a replay.
@@ -14,6 +15,7 @@ pub mod error;
 mod frame;
 pub mod link;
 pub mod pace;
+mod payloads;
 pub mod pcap;
 mod pcapng;
 pub(crate) mod source;
@@ -28,6 +30,7 @@ pub use error::{CaptureError, Damage, Place, Truncation};
 pub use frame::Record;
 pub use link::{Decapsulator, LinkType, NoDatagram};
 pub use pace::{Pacer, Speed};
+use payloads::Payloads;
 pub use pcap::CaptureReader;
 use source::{Input, Opened};
 use sweepd_core::wire::{DATA_PORT, Datagram};
@@ -48,14 +51,15 @@ pub struct CaptureCounts {
     pub not_ip: u64,
     /// Records with another protocol than UDP.
     pub not_udp: u64,
-    /// Records with fewer bytes of a datagram than its headers state: captured with too small a
-    /// snap length.
+    /// Records with fewer bytes of a datagram than its headers state, and than were on the network:
+    /// captured with too small a snap length.
     pub truncated_records: u64,
     /// Fragments, except those that completed a datagram.
     pub fragments: u64,
     /// Records with an unsupported link type.
     pub unsupported_link: u64,
-    /// Records with headers that contradict themselves, and messages of a bag that are no scan.
+    /// Records with headers that contradict themselves or end inside the whole frame, and messages
+    /// of a bag that are no scan.
     pub malformed: u64,
     /// Records without a time (pcapng simple packet blocks), which get that of the record before.
     /// They are also counted above.
@@ -100,6 +104,7 @@ pub struct Capture {
 enum Reader {
     Frames(Box<(CaptureReader, Decapsulator)>),
     Bag(Box<Bag>),
+    Payloads(Box<Payloads>),
 }
 
 /// A datagram with its place in the capture.
@@ -207,6 +212,12 @@ impl Capture {
         if Bag::is_magic(&opened.head) {
             return Bag::over(opened).map(Self::of_bag);
         }
+        if Payloads::is_magic(&opened.head) {
+            return Ok(Self {
+                reader: Reader::Payloads(Box::new(Payloads::over(opened))),
+                stats: CaptureStats::default(),
+            });
+        }
         let frames = (CaptureReader::over(opened)?, Decapsulator::new());
         Ok(Self {
             reader: Reader::Frames(Box::new(frames)),
@@ -239,22 +250,24 @@ impl Capture {
         match &mut self.reader {
             Reader::Frames(frames) => next_frame(&mut frames.0, &mut frames.1, stats),
             Reader::Bag(bag) => next_packet(bag, stats),
+            Reader::Payloads(payloads) => next_payload(payloads, stats),
         }
     }
 
-    /// The record of the last datagram, for messages; a bag has none.
+    /// The record of the last datagram, for messages; a bag and bare packets have none.
     pub fn record(&self) -> Option<Record<'_>> {
         match &self.reader {
             Reader::Frames(frames) => frames.0.record(),
-            Reader::Bag(_) => None,
+            Reader::Bag(_) | Reader::Payloads(_) => None,
         }
     }
 
-    /// The format of a bag, `MCAP` for example; `None` if it is another capture.
+    /// The format of what has packets without frames, `MCAP` for example; `None` if it has frames.
     pub fn bag_format(&self) -> Option<&'static str> {
         match &self.reader {
             Reader::Frames(_) => None,
             Reader::Bag(bag) => Some(bag.format()),
+            Reader::Payloads(_) => Some("bare packets, of an unknown address and hour"),
         }
     }
 
@@ -283,6 +296,7 @@ impl Capture {
         match &self.reader {
             Reader::Frames(frames) => frames.0.truncation(),
             Reader::Bag(bag) => bag.truncation(),
+            Reader::Payloads(payloads) => payloads.truncation(),
         }
     }
 
@@ -291,6 +305,7 @@ impl Capture {
         match &self.reader {
             Reader::Frames(frames) => frames.0.name(),
             Reader::Bag(bag) => bag.name(),
+            Reader::Payloads(payloads) => payloads.name(),
         }
     }
 }
@@ -307,6 +322,10 @@ fn next_frame<'a>(
         let time_ns = stats.note(&record);
         match decapsulator.find(record.link_type, record.bytes, time_ns) {
             Ok(found) => break (found, time_ns),
+            // It was whole on the network, and is no datagram.
+            Err(NoDatagram::CutShort) if record.bytes.len() >= record.original_len as usize => {
+                stats.counts.count(NoDatagram::Malformed);
+            }
             Err(reason) => stats.counts.count(reason),
         }
     };
@@ -346,6 +365,18 @@ fn next_packet<'a>(
         payload: packet.payload,
     };
     Ok(Some(stats.place(datagram, Some(packet.topic))))
+}
+
+fn next_payload<'a>(
+    payloads: &'a mut Payloads,
+    stats: &mut CaptureStats,
+) -> Result<Option<Placed<'a>>, CaptureError> {
+    if !payloads.advance()? {
+        return Ok(None);
+    }
+    let datagram = payloads.datagram();
+    stats.note_time(Some(datagram.arrival_ns));
+    Ok(Some(stats.place(datagram, None)))
 }
 
 #[cfg(test)]

@@ -96,11 +96,7 @@ impl CaptureReader {
         if self.ended {
             return Ok(false);
         }
-        let next = match &mut self.format {
-            Format::Pcap(pcap) => pcap.next(&mut self.input),
-            Format::Pcapng(sections) => sections.next(&mut self.input),
-        };
-        match next {
+        match self.format.next(&mut self.input) {
             Ok(Some(header)) => {
                 self.current = Some(header);
                 self.records += 1;
@@ -153,6 +149,29 @@ impl CaptureReader {
 }
 
 impl Format {
+    /// The next record, also of a second file behind the first.
+    fn next(&mut self, input: &mut Input) -> Result<Option<FrameHeader>, Stop> {
+        loop {
+            let next = match self {
+                Self::Pcap(pcap) => pcap.next(input)?,
+                Self::Pcapng(sections) => sections.next(input)?,
+            };
+            match next {
+                Next::Record(header) => return Ok(Some(header)),
+                Next::End => return Ok(None),
+                Next::FileHead(words) => *self = Self::again(words, input)?,
+            }
+        }
+    }
+
+    /// Reads the header of a second file, of which four words have been read.
+    fn again(words: [[u8; 4]; 4], input: &mut Input) -> Result<Self, Stop> {
+        let rest = input.raw_words::<2>()?;
+        let head = [words.as_flattened(), rest.as_flattened()].concat();
+        let format = Self::recognise(input, &head)?;
+        format.ok_or_else(|| Damage::Cut.into())
+    }
+
     /// Reads the file header, of which `head` has been read.
     fn recognise(input: &mut Input, head: &[u8]) -> Result<Option<Self>, Stop> {
         let Some(words) = head.first_chunk::<HEAD_LEN>() else {
@@ -181,8 +200,16 @@ impl Format {
     }
 }
 
+/// What comes next in a capture.
+pub(super) enum Next {
+    Record(FrameHeader),
+    End,
+    /// The first words of a second file: people join the files of a recording with `cat`.
+    FileHead([[u8; 4]; 4]),
+}
+
 /// The classic format: one link type, one resolution.
-struct Pcap {
+pub(super) struct Pcap {
     order: ByteOrder,
     tick_ns: i64,
     link_type: LinkType,
@@ -190,7 +217,7 @@ struct Pcap {
 
 impl Pcap {
     /// Byte order and length of a tick, from the first word of the file.
-    fn magic(word: [u8; 4]) -> Option<(ByteOrder, i64)> {
+    pub(super) fn magic(word: [u8; 4]) -> Option<(ByteOrder, i64)> {
         [ByteOrder::Little, ByteOrder::Big]
             .into_iter()
             .find_map(|order| match order.u32(word) {
@@ -200,11 +227,15 @@ impl Pcap {
             })
     }
 
-    fn next(&self, input: &mut Input) -> Result<Option<FrameHeader>, Stop> {
+    fn next(&self, input: &mut Input) -> Result<Next, Stop> {
         let Some(header) = input.start::<4>()? else {
-            return Ok(None);
+            return Ok(Next::End);
         };
         let [seconds, fraction, captured, original_len] = header.map(|word| self.order.u32(word));
+        // Of the header of a file, this word is 0, or the byte-order mark of pcapng.
+        if (captured == 0 || captured > MAX_RECORD_LEN) && is_file_head(&header) {
+            return Ok(Next::FileHead(header));
+        }
         if captured > MAX_RECORD_LEN {
             return Err(Damage::RecordLength {
                 found: captured,
@@ -214,10 +245,19 @@ impl Pcap {
         }
         input.load(captured as usize)?;
         let time_ns = i64::from(seconds) * 1_000_000_000 + i64::from(fraction) * self.tick_ns;
-        Ok(Some(FrameHeader {
+        Ok(Next::Record(FrameHeader {
             time_ns: Some(time_ns),
             link_type: self.link_type,
             original_len,
         }))
+    }
+}
+
+/// Whether a file begins with these words, rather than a record that has none of its bytes.
+fn is_file_head(words: &[[u8; 4]; 4]) -> bool {
+    let [magic, version, mark, _] = *words;
+    match Pcap::magic(magic) {
+        Some((order, _)) => order.u16([version[0], version[1]]) == 2,
+        None => magic == Sections::MAGIC && Sections::is_mark(mark),
     }
 }

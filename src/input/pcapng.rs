@@ -12,6 +12,7 @@
 use super::error::{Damage, Stop};
 use super::frame::{FrameHeader, MAX_RECORD_LEN};
 use super::link::LinkType;
+use super::pcap::{Next, Pcap};
 use super::source::{ByteOrder, Input};
 use sweepd_core::wire::TIMES_NS;
 
@@ -65,6 +66,11 @@ impl Sections {
     /// The first word of a section, the same in both byte orders.
     pub(super) const MAGIC: [u8; 4] = SECTION.to_be_bytes();
 
+    /// Whether this is the byte-order mark of a section, of either order.
+    pub(super) fn is_mark(word: [u8; 4]) -> bool {
+        [word, [word[3], word[2], word[1], word[0]]].contains(&BYTE_ORDER_MARK.to_be_bytes())
+    }
+
     /// Begins a section, of which 24 bytes have been read, and drops the interfaces of the last
     /// one.
     pub(super) fn begin(
@@ -95,16 +101,20 @@ impl Sections {
         self.end_block(length, input)
     }
 
-    /// The next packet block, its bytes loaded; `None` at the end of the file.
-    pub(super) fn next(&mut self, input: &mut Input) -> Result<Option<FrameHeader>, Stop> {
+    /// The next packet block, its bytes loaded.
+    pub(super) fn next(&mut self, input: &mut Input) -> Result<Next, Stop> {
         loop {
             let Some([kind, length]) = input.start::<2>()? else {
-                return Ok(None);
+                return Ok(Next::End);
             };
             if kind == Self::MAGIC {
                 let [mark, version, ..] = input.raw_words::<4>()?;
                 self.begin(length, mark, version, input)?;
                 continue;
+            }
+            if Pcap::magic(kind).is_some() {
+                let [zone, figures] = input.raw_words::<2>()?;
+                return Ok(Next::FileHead([kind, length, zone, figures]));
             }
             let kind = self.order.u32(kind);
             let length = self.order.u32(length);
@@ -118,8 +128,8 @@ impl Sections {
                 _ => input.skip(u64::from(block.body_len()))?,
             }
             self.end_block(length, input)?;
-            if packet.is_some() {
-                return Ok(packet);
+            if let Some(packet) = packet {
+                return Ok(Next::Record(packet));
             }
         }
     }

@@ -6,6 +6,7 @@ use std::io::{self, BufRead, BufReader, Cursor, Read};
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use bzip2::bufread::MultiBzDecoder;
 use bzip2::read::BzDecoder;
 use flate2::bufread::MultiGzDecoder;
 use lz4_flex::frame::FrameDecoder as Lz4Decoder;
@@ -18,6 +19,8 @@ const BUFFER_LEN: usize = 64 * 1024;
 /// Memory is taken in such pieces while a record is read: a length may be a lie.
 const PIECE_LEN: usize = 1 << 20;
 const GZIP_MAGIC: [u8; 2] = [0x1F, 0x8B];
+const BZIP2_MAGIC: [u8; 3] = *b"BZh";
+const LZ4_MAGIC: [u8; 4] = [0x04, 0x22, 0x4D, 0x18];
 pub(super) const ZSTD_MAGIC: [u8; 4] = [0x28, 0xB5, 0x2F, 0xFD];
 /// How a SQLite database begins.
 pub(super) const SQLITE_MAGIC: &[u8] = b"SQLite format 3\0";
@@ -96,6 +99,15 @@ impl Opened {
 
     /// The error for what is no capture.
     pub(super) fn refused(self) -> CaptureError {
+        let archives = ARCHIVES.iter();
+        let mut archives = archives.filter(|(magic, ..)| self.head.starts_with(magic));
+        if let Some(&(_, format, command)) = archives.next() {
+            return CaptureError::Archive {
+                name: self.name,
+                format,
+                command,
+            };
+        }
         let found = describe(&self.head);
         CaptureError::NotACapture {
             name: self.name,
@@ -147,6 +159,13 @@ impl Input {
             let compressed = BufReader::with_capacity(BUFFER_LEN, source);
             source = Box::new(ZstdFrames::new(compressed));
             compression = Some("zstd");
+        } else if magic[..len].starts_with(&BZIP2_MAGIC) {
+            let compressed = BufReader::with_capacity(BUFFER_LEN, source);
+            source = Box::new(MultiBzDecoder::new(compressed));
+            compression = Some("bzip2");
+        } else if magic[..len] == LZ4_MAGIC {
+            source = Box::new(Lz4Decoder::new(source));
+            compression = Some("lz4");
         }
         Ok(Self::over(source, compression))
     }
@@ -447,12 +466,19 @@ impl<R: BufRead> Read for ZstdFrames<R> {
     }
 }
 
+/// What is not unpacked here: how it begins, its format, and the command that unpacks it.
+const ARCHIVES: [(&[u8], &str, &str); 3] = [
+    (b"\xFD7zXZ\0", "xz", "xz -dc"),
+    (b"PK\x03\x04", "zip", "unzip -p"),
+    (b"7z\xBC\xAF\x27\x1C", "7z", "7z e -so"),
+];
+
 /// The probable type of a file that is not a capture, by its first bytes.
 pub(super) fn describe(head: &[u8]) -> String {
     const CUT_HEADER: &str = "the start of a capture, cut inside the file header";
     const DATABASE: &str = "a SQLite database, perhaps a ROS 2 bag, which is read only from a file of its own \
         (not through a pipe, not compressed)";
-    const KNOWN: [(&[u8], &str); 14] = [
+    const KNOWN: [(&[u8], &str); 11] = [
         (b"\xD4\xC3\xB2\xA1", CUT_HEADER),
         (b"\xA1\xB2\xC3\xD4", CUT_HEADER),
         (b"\x4D\x3C\xB2\xA1", CUT_HEADER),
@@ -466,10 +492,7 @@ pub(super) fn describe(head: &[u8]) -> String {
         ),
         (SQLITE_MAGIC, DATABASE),
         (b"\x89MCAP", CUT_HEADER),
-        (b"PK\x03\x04", "a zip archive"),
         (b"\x7FELF", "a program"),
-        (b"\xFF\xEE", "bare Velodyne packets without capture records"),
-        (b"BZh", "a bzip2 stream"),
     ];
     if head.is_empty() {
         return "nothing, it is empty".to_owned();

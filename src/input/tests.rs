@@ -347,6 +347,103 @@ fn compressed_captures_of_one_or_several_members() {
     }
 }
 
+/// People join the files of a recording with `cat`.
+#[test]
+fn a_second_file_behind_the_first_is_read_on() {
+    let mut files = vec![sample(3), sample_ng(ByteOrder::Little)];
+    let times = [(1, 0, &b"abc"[..]), (2, 5, b"")];
+    files.extend(ORDERS.map(|order| pcap(order, NANOSECONDS, 101, &times)));
+    for (first, second) in files
+        .iter()
+        .flat_map(|one| files.iter().map(move |two| (one, two)))
+    {
+        let [(mut expected, _), (more, _)] = [records(first), records(second)];
+        expected.extend(more);
+        let (all, end) = records(&[&first[..], second].concat());
+        assert_eq!((all, end), (expected, None));
+    }
+}
+
+#[test]
+fn a_frame_that_was_sent_short_is_not_cut_short() {
+    let (order, frame) = (ByteOrder::Little, frame(b"abc"));
+    let short = [
+        (1, 0, &frame[..]),
+        (1, 1, &[]),
+        (1, 2, &[0xFF; 10]),
+        (1, 3, &frame[..16]),
+    ];
+    let mut file = pcap(order, MICROSECONDS, 1, &short);
+    let (_, capture) = datagrams(&file).unwrap();
+    let counts = capture.counts();
+    assert_eq!(
+        (
+            counts.datagrams,
+            counts.truncated_records,
+            counts.other_traffic()
+        ),
+        (1, 0, 3)
+    );
+    // The last one lost its end when it was captured.
+    let original_len = file.len() - 16 - 4;
+    file[original_len..][..4].copy_from_slice(&(frame.len() as u32).to_le_bytes());
+    let (_, capture) = datagrams(&file).unwrap();
+    let counts = capture.counts();
+    assert_eq!((counts.truncated_records, counts.other_traffic()), (1, 2));
+}
+
+#[test]
+fn bare_packets_have_the_clock_of_the_sensor() {
+    let packet = |stamp_us: u32| {
+        let mut bytes = [1; 1206];
+        bytes[..2].copy_from_slice(&[0xFF, 0xEE]);
+        bytes[1200..1204].copy_from_slice(&stamp_us.to_le_bytes());
+        bytes.to_vec()
+    };
+    let file = [
+        packet(3_599_999_000),
+        vec![0; 512],
+        packet(327),
+        packet(200),
+    ]
+    .concat();
+    let (all, capture) = datagrams(&file).unwrap();
+    let found: Vec<_> = all.iter().map(|one| (one.0 / 1000, one.1.len())).collect();
+    let expected = [
+        (3_599_999_000, 1206),
+        (3_599_999_000, 512),
+        (3_600_000_327, 1206),
+        (3_600_000_200, 1206),
+    ];
+    assert_eq!((&found[..], capture.truncation()), (&expected[..], None));
+    let (all, capture) = datagrams(&file[..2000]).unwrap();
+    let says = "the capture breaks off at record 2 (byte 1718): the file ends inside it";
+    assert_eq!(
+        (all.len(), capture.truncation().unwrap().to_string()),
+        (2, says.to_owned())
+    );
+    let (_, capture) = datagrams(&[&file[..1206], b"#!/bin/sh ", &[b'x'; 2000]].concat()).unwrap();
+    assert!(
+        capture
+            .truncation()
+            .unwrap()
+            .to_string()
+            .contains("its packet is damaged")
+    );
+}
+
+#[test]
+fn an_archive_is_refused_with_the_command_that_unpacks_it() {
+    for (head, says) in [
+        (&b"\xFD7zXZ\0\0\x04"[..], "`xz -dc FILE | sweepd replay -`"),
+        (b"PK\x03\x04\x14\0", "`unzip -p FILE | sweepd replay -`"),
+    ] {
+        let source = Box::new(Cursor::new(head.to_vec()));
+        let error = Capture::new("drive", source).err().unwrap().to_string();
+        assert!(error.contains(says), "{error}");
+    }
+}
+
 #[test]
 fn a_cut_capture_gives_what_it_holds_and_says_where_it_ends() {
     let file = sample(3);
