@@ -2,9 +2,9 @@
 //! in them through its standard output. SQLite, which is in C, is in no other process.
 //!
 //! ```text
-//! stream      | "sweepd-db3 1\n" | frame | frame | ... | end |
+//! stream      | "sweepd-db3 2\n" | frame | frame | ... | end |
 //! topic       | 'T' | text: name | text: type | text: serialization format |
-//! message     | 'M' | u32: topic, from 0 in the order sent | i64: number | bytes: content |
+//! message     | 'M' | u32: topic, from 0 in the order sent | i64: number | i64: recorded, ns | bytes: content |
 //! progress    | 'P' | i64: number of the message that was passed |
 //! end         | 'E' | u8: how | i64: number of the message where reading ended | text: why |
 //! text, bytes | u32: length | so many bytes |
@@ -23,7 +23,7 @@ pub use super::bag::{MAX_MESSAGE_LEN, MAX_TOPICS, is_scans};
 /// Name of the program that reads databases.
 pub const PROGRAM: &str = "sweepd-db3";
 /// How its output begins; the number is that of the form of its frames.
-pub const HEAD: &[u8; 13] = b"sweepd-db3 1\n";
+pub const HEAD: &[u8; 13] = b"sweepd-db3 2\n";
 /// How long it may be silent while its output is waited for.
 pub const PATIENCE: Duration = Duration::from_secs(10);
 
@@ -64,6 +64,8 @@ pub enum Frame<'a> {
         topic: u32,
         /// Its number in the database.
         number: i64,
+        /// When it was recorded, nanoseconds since 1970.
+        logged_ns: i64,
         /// Its content, at most [`MAX_MESSAGE_LEN`].
         bytes: Cow<'a, [u8]>,
     },
@@ -113,11 +115,13 @@ impl Frame<'_> {
             Self::Message {
                 topic,
                 number,
+                logged_ns,
                 bytes,
             } => {
                 out.write_all(b"M")?;
                 out.write_all(&topic.to_le_bytes())?;
                 out.write_all(&number.to_le_bytes())?;
+                out.write_all(&logged_ns.to_le_bytes())?;
                 write_bytes(out, bytes)
             }
             Self::Progress { number } => {
@@ -156,6 +160,7 @@ impl Frame<'static> {
             [b'M'] => Ok(Self::Message {
                 topic: u32::from_le_bytes(array(source)?),
                 number: i64::from_le_bytes(array(source)?),
+                logged_ns: i64::from_le_bytes(array(source)?),
                 bytes: bytes(source)?.into(),
             }),
             [b'P'] => Ok(Self::Progress {

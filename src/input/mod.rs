@@ -271,6 +271,12 @@ impl Capture {
         }
     }
 
+    /// Whether stamps of packets in a bag were no times so far, so that its record times and the
+    /// sensor's clock stand for them.
+    pub fn is_restamped(&self) -> bool {
+        matches!(&self.reader, Reader::Bag(bag) if bag.is_restamped())
+    }
+
     /// Counts of records read and skipped so far.
     pub fn counts(&self) -> CaptureCounts {
         self.stats.counts

@@ -74,7 +74,18 @@ pub mod mcap {
     }
 
     pub fn message(channel: u16, data: &[u8]) -> Vec<u8> {
-        record(5, &[&channel.to_le_bytes()[..], &[0; 20], data].concat())
+        message_at(channel, 0, data)
+    }
+
+    /// A message that was recorded at a time in nanoseconds.
+    pub fn message_at(channel: u16, logged_ns: i64, data: &[u8]) -> Vec<u8> {
+        let head = [
+            &channel.to_le_bytes()[..],
+            &[0; 4],
+            &logged_ns.to_le_bytes(),
+            &[0; 8],
+        ];
+        record(5, &[&head.concat()[..], data].concat())
     }
 
     pub fn chunk(compression: &str, records: &[u8]) -> Vec<u8> {

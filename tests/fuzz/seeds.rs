@@ -265,6 +265,7 @@ fn frames_of_databases() -> Inputs {
     let message = |number: i64, big_endian: bool| Frame::Message {
         topic: 0,
         number,
+        logged_ns: 0,
         bytes: scan::cdr(&[(5, 0xFF); 2], big_endian).into(),
     };
     let ends = [

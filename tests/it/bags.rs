@@ -341,6 +341,47 @@ fn scans_of_other_packages_are_read() {
     );
 }
 
+/// Stamps of a clock that stands still, goes back or was never set: the record times of the messages
+/// are taken. A packet of this kit has its byte four times as the sensor's stamp.
+#[test]
+fn stamps_that_are_no_times_are_replaced_by_record_times() {
+    let tick_ns = 0x0101_0101 * 1000;
+    let start_ns = 1_700_000_000 * S + 7;
+    let names = [mcap::schema(1, SCAN), mcap::channel(0, 1, "/left", "cdr")].concat();
+    let read_of = |stamps: [i64; 4]| {
+        let [a, b, c, d] = stamps;
+        let file = mcap::file(&[
+            names.clone(),
+            mcap::message_at(0, start_ns, &cdr(&[(a, 1), (b, 2)], false)),
+            mcap::message_at(0, start_ns + 2 * tick_ns, &cdr(&[(c, 3), (d, 4)], false)),
+        ]);
+        let mut capture = open(&file).unwrap();
+        let mut times = Vec::new();
+        while let Some(datagram) = capture.next_datagram().unwrap() {
+            times.push(datagram.arrival_ns);
+        }
+        (times, capture.is_restamped())
+    };
+    let expected: Vec<i64> = (-1..3).map(|tick| start_ns + tick * tick_ns).collect();
+    let whole = 1_600_000_000 * S;
+    for stamps in [
+        [0; 4],
+        [904_000_000 * S + 32_000; 4],
+        [5, 6, 7, 8],
+        [whole, whole, whole + S, whole + S],
+        [whole + 9 * S + 1, whole + 2, whole + 9 * S + 3, whole + 4],
+    ] {
+        assert_eq!(read_of(stamps), (expected.clone(), true), "{stamps:?}");
+    }
+    let good = [
+        whole + 1,
+        whole + tick_ns,
+        whole + 2 * tick_ns,
+        whole + 3 * tick_ns,
+    ];
+    assert_eq!(read_of(good), (good.to_vec(), false));
+}
+
 #[test]
 fn a_bag_without_packets_says_what_it_has() {
     let names = |count: u16| {

@@ -211,6 +211,7 @@ impl<S: Read> Frames<S> {
                 Frame::Message {
                     topic,
                     number,
+                    logged_ns,
                     bytes,
                 } => {
                     let topic = self.topics.get(topic as usize).copied().flatten();
@@ -224,6 +225,7 @@ impl<S: Read> Frames<S> {
                     return Ok(Some(Message {
                         topic,
                         encoding,
+                        logged_ns,
                         bytes: bytes.into_owned(),
                     }));
                 }
@@ -298,6 +300,7 @@ mod tests {
         Frame::Message {
             topic,
             number,
+            logged_ns: 0,
             bytes: vec![7; len].into(),
         }
     }
@@ -391,7 +394,7 @@ mod tests {
                 stream(&[Frame::Progress { number: 2 }, Frame::Progress { number: 1 }]),
                 "progress in disorder",
             ),
-            (b"sweepd-db3 2\n".to_vec(), "`sweepd-db3 2 `"),
+            (b"sweepd-db3 1\n".to_vec(), "`sweepd-db3 1 `"),
             ([&stream(&[])[..], b"X"].concat(), "a frame of kind 0x58"),
             (
                 [&stream(&[])[..], b"T\xFF\xFF\xFF\xFF"].concat(),

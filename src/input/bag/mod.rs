@@ -12,6 +12,7 @@ mod definition;
 pub(crate) mod mcap;
 mod ros1;
 mod scan;
+mod stamps;
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -24,6 +25,7 @@ use super::error::{CaptureError, Damage, Place, Stop, Truncation};
 use super::source::{Input, Opened, SQLITE_MAGIC, ZSTD_MAGIC, read_full};
 use definition::{ScanLayout, last_name};
 use scan::{Encoding, Scan};
+use stamps::Stamps;
 
 /// Most bytes of a message: ten thousand packets, many turns of any model.
 pub const MAX_MESSAGE_LEN: u64 = 16 << 20;
@@ -71,6 +73,8 @@ struct Message {
     topic: usize,
     /// `None` if it is not understood.
     encoding: Option<Encoding>,
+    /// When it was recorded, nanoseconds since 1970.
+    logged_ns: i64,
     bytes: Vec<u8>,
 }
 
@@ -103,6 +107,7 @@ struct Topic {
     layout: Option<ScanLayout>,
     source: SocketAddr,
     waiting: VecDeque<Scan>,
+    stamps: Stamps,
     /// Whether a message has come: one that never comes is not waited for.
     is_active: bool,
 }
@@ -137,6 +142,7 @@ impl Topics {
             layout: layout.cloned(),
             source: (ip, 0).into(),
             waiting: VecDeque::new(),
+            stamps: Stamps::default(),
             is_active: false,
         });
         Ok(Some(index))
@@ -213,6 +219,8 @@ pub(super) struct Bag {
     /// The topic of the current packet.
     current: Option<usize>,
     malformed: u64,
+    /// Whether stamps were no times, and record times stand for them.
+    is_restamped: bool,
     /// Why nothing more is read, once that is so.
     end: Option<Result<(), Stop>>,
     steps: u64,
@@ -274,6 +282,7 @@ impl Bag {
             topics: Topics::default(),
             current: None,
             malformed: 0,
+            is_restamped: false,
             end: None,
             steps: 0,
             truncation: None,
@@ -357,8 +366,12 @@ impl Bag {
             Ok(Some(message)) => {
                 let topic = &mut self.topics.scans[message.topic];
                 topic.is_active = true;
+                let logged_ns = message.logged_ns;
                 match message.scan(topic.layout.as_ref()) {
-                    Some(scan) if scan.left() > 0 => topic.waiting.push_back(scan),
+                    Some(mut scan) if scan.left() > 0 => {
+                        self.is_restamped |= topic.stamps.check(&mut scan, logged_ns);
+                        topic.waiting.push_back(scan);
+                    }
                     Some(_) => {}
                     None => self.malformed += 1,
                 }
@@ -410,6 +423,10 @@ impl Bag {
 
     pub(super) fn name(&self) -> &str {
         &self.name
+    }
+
+    pub(super) fn is_restamped(&self) -> bool {
+        self.is_restamped
     }
 
     /// Its format, for people.

@@ -86,6 +86,7 @@ impl Ros1Bag {
         Ok(Some(Message {
             topic,
             encoding: Some(Encoding::Ros1),
+            logged_ns: time_ns(fields),
             bytes,
         }))
     }
@@ -151,6 +152,19 @@ fn field<'a>(mut fields: &'a [u8], name: &[u8]) -> Option<&'a [u8]> {
         }
         fields = rest;
     }
+}
+
+/// When the message was recorded, nanoseconds since 1970; 0 where that is missing.
+fn time_ns(fields: &[u8]) -> i64 {
+    let Some(&[a, b, c, d, ref nanoseconds @ ..]) = field(fields, b"time") else {
+        return 0;
+    };
+    let seconds = i64::from(u32::from_le_bytes([a, b, c, d]));
+    let nanoseconds = nanoseconds
+        .first_chunk()
+        .copied()
+        .map_or(0, u32::from_le_bytes);
+    seconds * 1_000_000_000 + i64::from(nanoseconds)
 }
 
 fn number(fields: &[u8], name: &[u8]) -> Option<u32> {

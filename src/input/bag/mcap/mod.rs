@@ -118,9 +118,11 @@ impl Mcap {
         let bytes = self
             .records
             .load(super::bounded(data_len, MAX_MESSAGE_LEN, "message")?)?;
+        let &[_, _, _, _, _, _, logged @ .., _, _, _, _, _, _, _, _] = &header;
         Ok(Some(Message {
             topic,
             encoding,
+            logged_ns: i64::from_le_bytes(logged),
             bytes,
         }))
     }

@@ -118,6 +118,7 @@ pub(crate) fn send(path: &Path, out: &mut impl Write) -> io::Result<End> {
 struct Held {
     topic: u32,
     number: i64,
+    logged_ns: i64,
     bytes: Vec<u8>,
 }
 
@@ -196,7 +197,7 @@ impl<W: Write> Sender<'_, W> {
         let ids: Vec<String> = topics.keys().map(i64::to_string).collect();
         // One pass over the table; the content is read of the topics with scans alone.
         let query = format!(
-            "SELECT id, topic_id, CASE WHEN topic_id IN ({}) THEN data END FROM messages ORDER BY id LIMIT {}",
+            "SELECT id, topic_id, CASE WHEN topic_id IN ({}) THEN data END, timestamp FROM messages ORDER BY id LIMIT {}",
             ids.join(", "),
             if ids.is_empty() { 0 } else { -1 },
         );
@@ -216,8 +217,9 @@ impl<W: Write> Sender<'_, W> {
                 // A number that is not unique.
                 continue;
             }
+            let logged_ns = row.get_ref(3)?.as_i64().unwrap_or_default();
             match row.get_ref(2)? {
-                ValueRef::Blob(bytes) => self.message(topic, number, bytes)?,
+                ValueRef::Blob(bytes) => self.message(topic, number, logged_ns, bytes)?,
                 other => {
                     let name = "data".to_owned();
                     let error = rusqlite::Error::InvalidColumnType(2, name, other.data_type());
@@ -230,11 +232,18 @@ impl<W: Write> Sender<'_, W> {
     }
 
     /// Sends a message, or the one before.
-    fn message(&mut self, topic: u32, number: i64, bytes: &[u8]) -> Result<(), Stop> {
+    fn message(
+        &mut self,
+        topic: u32,
+        number: i64,
+        logged_ns: i64,
+        bytes: &[u8],
+    ) -> Result<(), Stop> {
         let Some(cut) = self.cut.as_mut().filter(|cut| cut.is_inside_page) else {
             return self.write(&Frame::Message {
                 topic,
                 number,
+                logged_ns,
                 bytes: bytes.into(),
             });
         };
@@ -246,6 +255,7 @@ impl<W: Write> Sender<'_, W> {
         let held = Held {
             topic,
             number,
+            logged_ns,
             bytes: copy,
         };
         let Some(before) = cut.held.replace(held) else {
@@ -254,6 +264,7 @@ impl<W: Write> Sender<'_, W> {
         self.write(&Frame::Message {
             topic: before.topic,
             number: before.number,
+            logged_ns: before.logged_ns,
             bytes: before.bytes.into(),
         })
     }
