@@ -9,6 +9,7 @@
 //! * [`pace`]: when to send each datagram of a replay.
 //! * [`mod@write`]: captures written.
 
+mod arrivals;
 pub(crate) mod bag;
 pub mod db3;
 pub mod error;
@@ -25,6 +26,7 @@ pub mod write;
 use std::io::Read;
 use std::path::Path;
 
+use arrivals::{Arrivals, Held};
 use bag::{Bag, Step};
 pub use error::{CaptureError, Damage, Place, Truncation};
 pub use frame::Record;
@@ -99,6 +101,8 @@ impl CaptureCounts {
 pub struct Capture {
     reader: Reader,
     stats: CaptureStats,
+    /// Of frames, until their times are judged, and beyond where these are none.
+    arrivals: Option<Box<Arrivals>>,
 }
 
 enum Reader {
@@ -216,12 +220,14 @@ impl Capture {
             return Ok(Self {
                 reader: Reader::Payloads(Box::new(Payloads::over(opened))),
                 stats: CaptureStats::default(),
+                arrivals: None,
             });
         }
         let frames = (CaptureReader::over(opened)?, Decapsulator::new());
         Ok(Self {
             reader: Reader::Frames(Box::new(frames)),
             stats: CaptureStats::default(),
+            arrivals: Some(Box::default()),
         })
     }
 
@@ -229,6 +235,7 @@ impl Capture {
         Self {
             reader: Reader::Bag(Box::new(bag)),
             stats: CaptureStats::default(),
+            arrivals: None,
         }
     }
 
@@ -246,15 +253,23 @@ impl Capture {
     /// # Errors
     /// As there.
     pub fn next_placed(&mut self) -> Result<Option<Placed<'_>>, CaptureError> {
+        if self
+            .arrivals
+            .as_ref()
+            .is_some_and(|arrivals| arrivals.is_done())
+        {
+            self.arrivals = None;
+        }
         let stats = &mut self.stats;
-        match &mut self.reader {
-            Reader::Frames(frames) => next_frame(&mut frames.0, &mut frames.1, stats),
-            Reader::Bag(bag) => next_packet(bag, stats),
-            Reader::Payloads(payloads) => next_payload(payloads, stats),
+        match (&mut self.reader, &mut self.arrivals) {
+            (Reader::Frames(frames), Some(arrivals)) => next_judged(frames, stats, arrivals),
+            (Reader::Frames(frames), None) => next_frame(&mut frames.0, &mut frames.1, stats),
+            (Reader::Bag(bag), _) => next_packet(bag, stats),
+            (Reader::Payloads(payloads), _) => next_payload(payloads, stats),
         }
     }
 
-    /// The record of the last datagram, for messages; a bag and bare packets have none.
+    /// The record that was read last, for messages; a bag and bare packets have none.
     pub fn record(&self) -> Option<Record<'_>> {
         match &self.reader {
             Reader::Frames(frames) => frames.0.record(),
@@ -271,15 +286,23 @@ impl Capture {
         }
     }
 
-    /// Whether stamps of packets in a bag were no times so far, so that its record times and the
-    /// sensor's clock stand for them.
+    /// Whether the times of records, or in a bag the stamps of packets, were no times so far, so that
+    /// the sensor's clock stands for them; in a bag after its record times.
     pub fn is_restamped(&self) -> bool {
-        matches!(&self.reader, Reader::Bag(bag) if bag.is_restamped())
+        match &self.reader {
+            Reader::Bag(bag) => bag.is_restamped(),
+            _ => self
+                .arrivals
+                .as_ref()
+                .is_some_and(|arrivals| arrivals.is_mended()),
+        }
     }
 
     /// Counts of records read and skipped so far.
     pub fn counts(&self) -> CaptureCounts {
-        self.stats.counts
+        let arrivals = self.arrivals.as_ref();
+        let current = arrivals.and_then(|arrivals| arrivals.current.as_ref());
+        current.map_or(self.stats.counts, |held| held.counts)
     }
 
     /// The link types met so far, at most 16.
@@ -314,6 +337,29 @@ impl Capture {
             Reader::Payloads(payloads) => payloads.name(),
         }
     }
+}
+
+/// The next datagram of frames, of which the first are read ahead until their times are judged.
+fn next_judged<'a>(
+    frames: &'a mut (CaptureReader, Decapsulator),
+    stats: &mut CaptureStats,
+    arrivals: &'a mut Arrivals,
+) -> Result<Option<Placed<'a>>, CaptureError> {
+    while arrivals.wants_more() {
+        match next_frame(&mut frames.0, &mut frames.1, stats) {
+            Ok(Some(placed)) => arrivals.hold(&placed, stats.counts),
+            Ok(None) => arrivals.end(Ok(())),
+            Err(error) => arrivals.end(Err(error)),
+        }
+    }
+    if arrivals.advance() {
+        return Ok(arrivals.current.as_ref().map(Held::placed));
+    }
+    if let Some(ended) = arrivals.ended.take() {
+        return ended.map(|()| None);
+    }
+    let placed = next_frame(&mut frames.0, &mut frames.1, stats)?;
+    Ok(placed.map(|placed| arrivals.mend(placed)))
 }
 
 fn next_frame<'a>(

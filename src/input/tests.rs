@@ -351,7 +351,7 @@ fn compressed_captures_of_one_or_several_members() {
 #[test]
 fn a_second_file_behind_the_first_is_read_on() {
     let mut files = vec![sample(3), sample_ng(ByteOrder::Little)];
-    let times = [(1, 0, &b"abc"[..]), (2, 5, b"")];
+    let times = [(1, 0, &b"abc"[..]), (2, 5, &b""[..])];
     files.extend(ORDERS.map(|order| pcap(order, NANOSECONDS, 101, &times)));
     for (first, second) in files
         .iter()
@@ -367,7 +367,7 @@ fn a_second_file_behind_the_first_is_read_on() {
 #[test]
 fn a_frame_that_was_sent_short_is_not_cut_short() {
     let (order, frame) = (ByteOrder::Little, frame(b"abc"));
-    let short = [
+    let short: [(u32, u32, &[u8]); 4] = [
         (1, 0, &frame[..]),
         (1, 1, &[]),
         (1, 2, &[0xFF; 10]),
@@ -432,11 +432,68 @@ fn bare_packets_have_the_clock_of_the_sensor() {
     );
 }
 
+/// A data packet each millisecond of the sensor's clock, with these record times, microseconds.
+fn times_of(record_us: impl Fn(u32) -> u64) -> (Vec<i64>, bool) {
+    let mut frames = Vec::new();
+    for number in 0..100_u32 {
+        let mut packet = [1; 1206];
+        packet[1200..1204].copy_from_slice(
+            &(3_599_950_000 + number * 1000)
+                .rem_euclid(3_600_000_000)
+                .to_le_bytes(),
+        );
+        let time_us = record_us(number);
+        let seconds = (time_us / 1_000_000) as u32;
+        frames.push((seconds, (time_us % 1_000_000) as u32, frame(&packet)));
+    }
+    let frames: Vec<_> = frames
+        .iter()
+        .map(|(s, us, frame)| (*s, *us, &frame[..]))
+        .collect();
+    let file = pcap(ByteOrder::Little, MICROSECONDS, 1, &frames);
+    let (all, capture) = datagrams(&file).unwrap();
+    let counts = capture.counts();
+    assert_eq!((counts.records, counts.datagrams), (100, 100));
+    (
+        all.iter().map(|one| one.0 / 1000).collect(),
+        capture.is_restamped(),
+    )
+}
+
+#[test]
+fn record_times_that_are_none_give_way_to_the_clock_of_the_sensor() {
+    let start_us = 1_700_000_000_000_000;
+    let cases: [(u64, &dyn Fn(u32) -> u64); 4] = [
+        (0, &|_| 0),
+        (start_us + 5, &|_| start_us + 5),
+        (start_us, &|number| {
+            start_us + u64::from(number / 70) * 1_000_000
+        }),
+        (start_us, &|number| start_us - u64::from(number) * 40),
+    ];
+    for (first_us, record_us) in cases {
+        let expected: Vec<i64> = (0..100)
+            .map(|number| first_us as i64 + number * 1000)
+            .collect();
+        assert_eq!(times_of(record_us), (expected, true));
+    }
+    // A burst, and the ticks of a coarse clock.
+    for ticks in [1, 15_600] {
+        let record_us =
+            |number: u32| start_us + 7 + u64::from(number.max(30)) * 1000 / ticks * ticks;
+        let expected = (0..100).map(|number| record_us(number) as i64).collect();
+        assert_eq!(times_of(record_us), (expected, false));
+    }
+}
+
 #[test]
 fn an_archive_is_refused_with_the_command_that_unpacks_it() {
     for (head, says) in [
         (&b"\xFD7zXZ\0\0\x04"[..], "`xz -dc FILE | sweepd replay -`"),
-        (b"PK\x03\x04\x14\0", "`unzip -p FILE | sweepd replay -`"),
+        (
+            &b"PK\x03\x04\x14\0"[..],
+            "`unzip -p FILE | sweepd replay -`",
+        ),
     ] {
         let source = Box::new(Cursor::new(head.to_vec()));
         let error = Capture::new("drive", source).err().unwrap().to_string();
