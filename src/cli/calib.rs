@@ -5,10 +5,10 @@ use std::fmt::Write as _;
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
+use super::error::read_calibration;
 use super::output::ForceOptions;
 use super::{CliError, complain};
 use crate::admission::{Sender, SensorFilter};
-use crate::files;
 use crate::files::output;
 use crate::input::{Capture, Placed};
 use crate::streams::{Stream, Streams};
@@ -83,7 +83,7 @@ struct FromCapture {
 /// [`CliError::Reported`] for calibrations that differ.
 pub fn run(args: &Args) -> Result<(), CliError> {
     match &args.command {
-        Command::Show { file } => print(&show(file, &files::calibration(file)?)),
+        Command::Show { file } => print(&show(file, &read_calibration(file)?)),
         Command::Diff { a, b } => diff(a, b),
         Command::FromCapture(args) => from_capture(args),
     }
@@ -153,8 +153,8 @@ fn fitting_models(calibration: &Calibration) -> String {
 }
 
 fn diff(path_a: &Path, path_b: &Path) -> Result<(), CliError> {
-    let a = files::calibration(path_a)?;
-    let b = files::calibration(path_b)?;
+    let a = read_calibration(path_a)?;
+    let b = read_calibration(path_b)?;
     let name_a = path_a.display();
     let name_b = path_b.display();
     let mut text = String::new();

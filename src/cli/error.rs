@@ -2,17 +2,18 @@
 
 use std::fmt::Display;
 use std::io::{self, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::daemon::DaemonError;
 use crate::daemon::config::ConfigError;
 use crate::daemon::record::client::RemoteRecordError;
-use crate::files::{CalibrationFileError, WriteError};
+use crate::files::{self, CalibrationFileError, WriteError};
 use crate::input::{CaptureError, UdpError};
 use crate::publish::PublishError;
 use crate::text::visible;
 use sweepd_client::client::ClientError;
+use sweepd_core::sensor::Calibration;
 
 /// Why a command did not complete.
 #[derive(Debug, thiserror::Error)]
@@ -118,4 +119,17 @@ pub(super) fn report(error: &CliError) {
 /// message is lost.
 pub fn complain(severity: &str, message: impl Display) {
     let _ = writeln!(io::stderr(), "{severity}: {}", visible(message));
+}
+
+/// Reads a calibration, and shows what there is to know of it.
+///
+/// # Errors
+/// [`CalibrationFileError`].
+pub fn read_calibration(path: &Path) -> Result<Calibration, CalibrationFileError> {
+    let calibration = files::calibration(path)?;
+    for remark in calibration.remarks() {
+        let severity = if remark.is_warning { "warning" } else { "note" };
+        complain(severity, &remark.text);
+    }
+    Ok(calibration)
 }

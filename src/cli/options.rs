@@ -8,6 +8,7 @@ use std::str::FromStr;
 use clap::ValueEnum;
 
 use crate::admission::{SensorFilter, SensorFilterError};
+use crate::cli::error::read_calibration;
 use crate::cli::{CliError, complain};
 use crate::files;
 use crate::publish::is_sensor_name;
@@ -329,7 +330,7 @@ impl SensorOptions {
     pub fn apply(&self, to: &mut pipeline::Config) -> Result<(), CliError> {
         to.model = self.model.or(to.model);
         if let Some(path) = &self.calibration {
-            to.calibration = Some(files::calibration(path)?);
+            to.calibration = Some(read_calibration(path)?);
         }
         if let Some(degrees) = self.cut_azimuth {
             to.cut_azimuth_rad = degrees.to_radians();

@@ -394,6 +394,45 @@ fn broken_yaml_is_refused_with_line_and_key() {
     }
 }
 
+/// What the model determines need not be in the file, and a key may be there twice with one value.
+#[test]
+fn the_unit_of_distance_may_be_that_of_the_model() {
+    let nominal = Model::Vlp32c.calibration().unwrap();
+    let hdl64: Vec<Beam> = (0..64)
+        .map(|channel| Beam::ideal(channel, (2.0 - 0.41 * channel as f64).to_radians()))
+        .collect();
+    let hdl64 = Calibration::new(hdl64, 0.002).unwrap();
+    for (calibration, says) in [(&hdl64, "0.002 metres"), (nominal, "0.004 metres")] {
+        let text = ros_yaml::emit(calibration);
+        let line = text
+            .lines()
+            .find(|line| line.starts_with("distance"))
+            .unwrap();
+        let old = ros_yaml::parse(&text.replace(line, ""), "a.yaml").unwrap();
+        assert_eq!(old.beams(), calibration.beams());
+        assert_eq!(old.distance_unit_m(), calibration.distance_unit_m());
+        let [remark] = old.remarks() else {
+            panic!("{:?}", old.remarks())
+        };
+        assert!(
+            !remark.is_warning && remark.text.contains(says),
+            "{remark:?}"
+        );
+
+        let key = format!("rot_correction: {}", calibration.beams()[0].rotation_rad);
+        let twice = text.replacen(&key, &format!("{key}, {key}"), 1);
+        let twice = ros_yaml::parse(&twice, "a.yaml").unwrap();
+        assert_eq!(twice.beams(), calibration.beams());
+        let [remark] = twice.remarks() else {
+            panic!("{:?}", twice.remarks())
+        };
+        assert!(
+            remark.is_warning && remark.text.starts_with("a.yaml:4: "),
+            "{remark:?}"
+        );
+    }
+}
+
 #[test]
 fn text_that_is_no_calibration_is_refused_in_one_line() {
     let texts = [

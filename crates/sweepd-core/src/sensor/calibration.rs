@@ -153,6 +153,16 @@ pub struct Calibration {
     beams: Vec<Beam>,
     rows: Vec<usize>,
     distance_unit_m: f64,
+    remarks: Vec<Remark>,
+}
+
+/// What people should know of a calibration file that is read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Remark {
+    /// Whether the file is at fault.
+    pub is_warning: bool,
+    /// The file, its line, and what there is to know.
+    pub text: String,
 }
 
 /// Why a calibration cannot be used. Every variant names the file and, if it is one value, its line
@@ -213,7 +223,17 @@ impl Calibration {
             beams,
             rows,
             distance_unit_m,
+            remarks: Vec::new(),
         })
+    }
+
+    /// What was taken for what the file lacks, and what it has twice.
+    pub fn remarks(&self) -> &[Remark] {
+        &self.remarks
+    }
+
+    pub(super) fn add_remark(&mut self, is_warning: bool, text: String) {
+        self.remarks.push(Remark { is_warning, text });
     }
 
     /// The beams by channel.

@@ -191,7 +191,11 @@ impl<'a> Reader<'a> {
                 continue;
             };
             let entry = self.entry(node);
-            if laser.entries[index].is_some() {
+            if let Some(first) = &laser.entries[index] {
+                if first.text.trim() == entry.text.trim() {
+                    laser.repeated = Some((entry.line, FORMAT.names[index]));
+                    continue;
+                }
                 return Err(at(
                     self.file,
                     entry.line,

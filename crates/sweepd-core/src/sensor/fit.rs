@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use super::{Calibration, Model, ModelExt, ros_yaml};
+use super::{Beam, Calibration, Model, ModelExt, ros_yaml};
 
 /// Greatest deviation of a beam from its nominal elevation: much more than units differ, much less
 /// than models do.
@@ -53,6 +53,19 @@ impl Calibration {
     pub fn has_mistaken_unit(&self, model: Model) -> bool {
         let mistaken_m = model.spec().mistaken_unit_m;
         mistaken_m.is_some_and(|unit_m| (self.distance_unit_m() - unit_m).abs() < 1e-6)
+    }
+
+    /// The model whose beams these are, whatever their unit of distance. The beams of most models are
+    /// known, and any other 64 are those of an HDL-64E.
+    pub(super) fn of_beams(beams: &[Beam]) -> Option<Model> {
+        let has_beams = |model: &Model| {
+            let calibration = Self::new(beams.to_vec(), model.spec().distance_unit_m);
+            calibration.is_ok_and(|calibration| calibration.fit(*model).is_ok())
+        };
+        let (known, others): (Vec<_>, Vec<_>) = Model::ALL
+            .into_iter()
+            .partition(|model| model.spec().nominal.is_some());
+        known.into_iter().chain(others).find(has_beams)
     }
 
     /// Checks that these can be the beams of a model; the error gives the contradiction.

@@ -19,6 +19,6 @@ pub mod stream;
 mod table;
 pub mod unit;
 
-pub use calibration::{Beam, Calibration, CalibrationError, Intensity, TwoPoint};
+pub use calibration::{Beam, Calibration, CalibrationError, Intensity, Remark, TwoPoint};
 pub use model::{Model, ModelExt};
 pub use read::MAX_FILE_LEN;

@@ -7,15 +7,15 @@
 //! - {laser_id: 0, rot_correction: -0.0765, vert_correction: -0.1262, dist_correction: 1.4139, …}
 //! ```
 //!
-//! `laser_id`, `vert_correction` and `distance_resolution` are required. Other missing values are
-//! neutral: offsets and rotation 0, intensities 0 to 255. An unknown key is an error, since it is
-//! most likely misspelt.
+//! `laser_id` and `vert_correction` are required. `distance_resolution`, which files from before
+//! 2018 lack, is that of the model with these beams. Other missing values are neutral: offsets and
+//! rotation 0, intensities 0 to 255. An unknown key is an error, since it is most likely misspelt.
 
 use std::fmt::{self, Write as _};
 
 use serde::Deserialize;
 use serde::de::{Deserializer, MapAccess, Visitor};
-use serde_saphyr::{Location, Spanned, UserMessageFormatter};
+use serde_saphyr::{DuplicateKeyPolicy, Location, Spanned, UserMessageFormatter};
 
 use super::calibration::Intensity;
 use super::table::{Entry, FileFormat, Key, Laser, MeasureUnit, Table, at, quote};
@@ -93,8 +93,30 @@ impl<'de> Deserialize<'de> for Values {
 /// # Errors
 /// [`CalibrationError::At`] with file, line and key.
 pub fn parse(text: &str, file: &str) -> Result<Calibration, CalibrationError> {
-    let content: File =
-        serde_saphyr::from_str(text).map_err(|error| yaml_error(&error, text, file))?;
+    let error = match parse_with(text, file, DuplicateKeyPolicy::Error) {
+        Ok(calibration) => return Ok(calibration),
+        Err(error) => error,
+    };
+    // A key that is there twice with the same value gives the same, whichever counts.
+    let first = parse_with(text, file, DuplicateKeyPolicy::FirstWins);
+    let last = parse_with(text, file, DuplicateKeyPolicy::LastWins);
+    match (first, last) {
+        (Ok(mut first), Ok(last)) if first == last => {
+            first.add_remark(true, format!("{error}; it has the same value"));
+            Ok(first)
+        }
+        _ => Err(error),
+    }
+}
+
+fn parse_with(
+    text: &str,
+    file: &str,
+    duplicate_keys: DuplicateKeyPolicy,
+) -> Result<Calibration, CalibrationError> {
+    let options = serde_saphyr::options! { duplicate_keys: duplicate_keys };
+    let content: File = serde_saphyr::from_str_with_options(text, options)
+        .map_err(|error| yaml_error(&error, text, file))?;
     let lasers: Result<Vec<Laser<'_>>, _> = content
         .lasers
         .value

@@ -9,7 +9,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use std::ops::RangeInclusive;
 
 use super::calibration::{DISTANCE_UNITS_M, Intensity, MAX_BEAMS, MAX_OFFSET_M, TwoPoint};
-use super::{Beam, Calibration, CalibrationError};
+use super::{Beam, Calibration, CalibrationError, ModelExt};
 
 /// A value of a laser, in either format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,6 +67,8 @@ pub(super) struct Entry<'a> {
 pub(super) struct Laser<'a> {
     pub line: usize,
     pub entries: [Option<Entry<'a>>; KEYS],
+    /// Where a key is there again, with the same value.
+    pub repeated: Option<(usize, &'static str)>,
 }
 
 /// All that a calibration file says.
@@ -135,6 +137,7 @@ impl<'a> Laser<'a> {
         Self {
             line,
             entries: [const { None }; KEYS],
+            repeated: None,
         }
     }
 
@@ -153,8 +156,40 @@ impl Table<'_> {
             .zip(channels)
             .map(|(l, c)| self.beam(l, c))
             .collect();
-        Calibration::new(beams?, self.distance_unit_m()?)
-            .map_err(|message| self.error(self.line, message))
+        let beams = beams?;
+        let (distance_unit_m, remark) = match &self.distance_unit {
+            Some(entry) => (self.distance_unit_m(entry)?, None),
+            None => self.unit_of_model(&beams)?,
+        };
+        let mut calibration = Calibration::new(beams, distance_unit_m)
+            .map_err(|message| self.error(self.line, message))?;
+        if let Some(remark) = remark {
+            calibration.add_remark(false, self.error(self.line, remark).to_string());
+        }
+        if let Some((line, key)) = self.lasers.iter().find_map(|laser| laser.repeated) {
+            let text = format!("{key} is there twice in one laser, with the same value");
+            calibration.add_remark(true, self.error(line, text).to_string());
+        }
+        Ok(calibration)
+    }
+
+    /// The unit of distance of the model that has these beams, and what to say of it.
+    fn unit_of_model(&self, beams: &[Beam]) -> Result<(f64, Option<String>), CalibrationError> {
+        let name = self.format.distance_unit;
+        let MeasureUnit {
+            name: unit, factor, ..
+        } = self.format.length;
+        let Some(model) = Calibration::of_beams(beams) else {
+            let usual = short(0.002 / factor);
+            let message = format!(
+                "{name} is missing: the {unit} of one unit of distance, {usual} on most models"
+            );
+            return Err(self.error(self.line, message));
+        };
+        let unit_m = model.spec().distance_unit_m;
+        let taken = short(unit_m / factor);
+        let remark = format!("{name} is missing: {taken} {unit} is taken, as the {model} has it");
+        Ok((unit_m, Some(remark)))
     }
 
     /// The channel of each laser, each from 0 once.
@@ -286,18 +321,12 @@ impl Table<'_> {
         Err(self.beam_error(channel, laser.line, &message))
     }
 
-    fn distance_unit_m(&self) -> Result<f64, CalibrationError> {
+    fn distance_unit_m(&self, entry: &Entry<'_>) -> Result<f64, CalibrationError> {
         let name = self.format.distance_unit;
         let MeasureUnit {
             name: unit, factor, ..
         } = self.format.length;
         let usual = short(0.002 / factor);
-        let Some(entry) = &self.distance_unit else {
-            let message = format!(
-                "{name} is missing: the {unit} of one unit of distance, {usual} on most models"
-            );
-            return Err(self.error(self.line, message));
-        };
         let value =
             number(entry).map_err(|message| self.error(entry.line, format!("{name}{message}")))?;
         if DISTANCE_UNITS_M.contains(&(value * factor)) {
