@@ -1,8 +1,9 @@
 //! Outputs of a replay: lines of JSON, tables, clouds, pictures; and the handling of existing
 //! files.
 
+use std::fs;
 use std::io::{self, BufWriter, Stdout, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use serde::Serialize;
@@ -13,6 +14,7 @@ use super::tables::SegmentTables;
 use crate::export::mcap::{McapOutput, SweepMessages};
 use crate::export::{Existing, Exporter, Format, Title, is_sweep_file, trimmed};
 use crate::files::output::{Former, sensor_folder};
+use crate::text::count_of;
 use sweepd_core::buffers::HeapBuffer;
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::layout::{TimeSource, flags};
@@ -76,6 +78,20 @@ impl OutputOptions {
             "{sensor}: its mount is not known, so --frame {frame} has its origin and tilt: \
              give [sensor.mount] in the configuration, or --pitch and --roll to replay"
         ))
+    }
+
+    /// The folders and files that it writes, without standard output.
+    fn places(&self) -> Vec<PathBuf> {
+        let places = [
+            &self.csv,
+            &self.pcd,
+            &self.png,
+            &self.mcap,
+            &self.segments,
+            &self.raw,
+        ];
+        let places = places.into_iter().flatten();
+        places.filter(|path| !is_stdout(path)).cloned().collect()
     }
 
     /// The options that write to standard output.
@@ -229,6 +245,10 @@ pub struct Outputs {
     frame: Frame,
     stdout: Option<BufWriter<Stdout>>,
     timing: bool,
+    places: Vec<PathBuf>,
+    /// Folders that were made for it, each before those above it.
+    made: Vec<PathBuf>,
+    sweeps: u64,
 }
 
 /// Which sweep is written.
@@ -322,7 +342,15 @@ impl Outputs {
             frame,
             stdout,
             timing: !options.no_timing,
+            places: options.places(),
+            made: Vec::new(),
+            sweeps: 0,
         };
+        for (dir, _) in &outputs.files {
+            let is_missing = |dir: &&Path| !dir.as_os_str().is_empty() && !dir.exists();
+            let missing = dir.ancestors().take_while(is_missing);
+            outputs.made.extend(missing.map(Path::to_owned));
+        }
         outputs.exporters(0, "")?;
         for (dir, format) in &outputs.files {
             let former = Former::find(dir, existing, "sweep", |name| is_sweep_file(name, *format))?;
@@ -366,6 +394,7 @@ impl Outputs {
         latency_us: Option<LatencyUs>,
     ) -> Result<(), CliError> {
         let SweepId { sensor, model } = id;
+        self.sweeps += 1;
         let sequence = sweep.header.sequence;
         let exporters = self.exporters(sensor, sweep.header.sensor())?;
         for (exporter, file) in exporters.iter_mut().zip(files.files) {
@@ -420,18 +449,34 @@ impl Outputs {
             .map_err(CliError::Stdout)
     }
 
-    /// Completes the files that hold all sweeps and renames them. Unfinished files are removed.
+    /// Completes the files that hold all sweeps and renames them. Unfinished files are removed; so is
+    /// all that is empty, where there was no sweep. Says what was written, if anything was.
     ///
     /// # Errors
     /// [`CliError`].
-    pub fn finish(&mut self) -> Result<(), CliError> {
+    pub fn finish(&mut self) -> Result<Option<String>, CliError> {
+        if self.sweeps == 0 {
+            (self.mcap, self.segments, self.raw) = (None, None, None);
+            for dir in self.made.drain(..) {
+                // What somebody has put there since stays.
+                let _ = fs::remove_dir(dir);
+            }
+            return Ok(None);
+        }
         if let Some(mcap) = self.mcap.take() {
             mcap.finish()?;
         }
         if let Some(segments) = self.segments.take() {
             segments.finish()?;
         }
-        self.raw.take().map_or(Ok(()), Stream::finish)
+        self.raw.take().map_or(Ok(()), Stream::finish)?;
+        let places: Vec<String> = self
+            .places
+            .iter()
+            .map(|path| path.display().to_string())
+            .collect();
+        let sweeps = count_of(self.sweeps, "sweep");
+        Ok((!places.is_empty()).then(|| format!("{sweeps} to {}", places.join(", "))))
     }
 
     /// The exporters of a sensor: the first one writes into the directories themselves, each other

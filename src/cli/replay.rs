@@ -8,12 +8,14 @@ mod summary;
 mod sweeps;
 mod track;
 
+use std::io::{self, IsTerminal};
+
 use self::playback::Playback;
 use self::summary::{SensorReport, SummaryLine, Sums};
 use self::sweeps::{Finisher, Writer};
 use self::track::Setup;
 use super::output::Outputs;
-use super::{CliError, jobs};
+use super::{CliError, complain, jobs};
 use crate::input::{Capture, CaptureError};
 use crate::streams::Streams;
 
@@ -119,9 +121,12 @@ impl<'a> Replay<'a> {
             .collect();
         let other_traffic = capture.counts().other_traffic() + sensors.others() - others_before;
         outputs.line(|| SummaryLine::new(capture, other_traffic, &reports, timing))?;
-        outputs.finish()?;
+        let written = outputs.finish()?;
         if !args.is_piped() {
-            summary::print(other_traffic, &reports, timing).map_err(CliError::Stdout)?;
+            summary::print(other_traffic, &reports, written.as_deref(), timing)
+                .map_err(CliError::Stdout)?;
+        } else if let Some(written) = written.filter(|_| io::stderr().is_terminal()) {
+            complain("note", format_args!("written: {written}"));
         }
         let is_read = messages::show_damage(capture, read);
         let is_complete = messages::show_missing(args, &sections, capture, &sensors, &reports);

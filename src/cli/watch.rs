@@ -147,7 +147,7 @@ impl Watch<'_> {
         if let Some(table) = &mut self.table {
             table.finish().map_err(CliError::Stdout)?;
         }
-        self.outputs.finish()?;
+        let _ = self.outputs.finish()?;
         ended?;
         if self.args.latency {
             self.latencies

@@ -84,6 +84,44 @@ fn a_sweep_in_json_has_exactly_its_keys() {
     assert_eq!(sweep["time_source"], "gps");
 }
 
+/// Less than a turn is no success, and leaves nothing behind; what there is, is written where it says.
+#[test]
+fn less_than_a_turn_names_the_option_that_gives_it() {
+    let folder = Folder::new("less");
+    let capture = fixture("street_vlp16.pcap.gz");
+    let [pictures, mcap, segments, raw] =
+        ["a/b", "drive.mcap", "all.csv", "all.raw"].map(|name| folder.path(name));
+    let [pictures, mcap, segments, raw] =
+        [&pictures, &mcap, &segments, &raw].map(|path| path.to_str().unwrap());
+    let options = [
+        "--end=0.05",
+        "--png",
+        pictures,
+        "--mcap",
+        mcap,
+        "--segments",
+        segments,
+        "--raw",
+        raw,
+    ];
+    replay(&capture, &options).says(&["no whole turn to 0.05 s", "--partial"]);
+    for path in [
+        Path::new(pictures).parent().unwrap(),
+        mcap.as_ref(),
+        segments.as_ref(),
+        raw.as_ref(),
+    ] {
+        assert!(!path.exists(), "{}", path.display());
+    }
+    replay(&capture, &["--end=0.05", "--json"]).says(&["--partial"]);
+    let said = replay(&capture, &[&options[..], &["--partial"]].concat()).done();
+    let places = [pictures, mcap, segments, raw].join(", ");
+    assert!(
+        said.ends_with(&format!("\nwritten: 1 sweep to {places}\n")),
+        "{said}"
+    );
+}
+
 /// The number in a header is the one number: of files, of lines, of objects, and whether or not
 /// partial sweeps are left out.
 #[test]

@@ -15,6 +15,19 @@ pub(super) fn show_damage(capture: &Capture, read: Result<(), CaptureError>) -> 
         let message = format!("{name}: {truncation}; everything before was replayed");
         complain("warning", message);
     }
+    if capture.is_restamped() {
+        let message = match capture.bag_format() {
+            Some(_) => {
+                "stamps of its packets stand still, go back or lie before 1990: the times at which the bag \
+                 recorded the messages are taken, with the sensor's clock between them"
+            }
+            None => {
+                "the times of its records stand still, have whole seconds alone or go back: the sensor's \
+                 clock gives the time since the first"
+            }
+        };
+        complain("warning", format_args!("{name}: {message}"));
+    }
     let cut = capture.counts().truncated_records;
     if cut > 0 {
         let cut = count_of(cut, "record");
@@ -42,7 +55,22 @@ pub(super) fn show_missing(
     for message in &missing {
         complain("error", format_args!("{}: {message}", capture.name()));
     }
+    let less = reports.iter().filter(|report| report.is_less_than_a_turn());
+    let less: Vec<&str> = less.map(|report| report.sensor).collect();
+    if less.len() < reports.len() {
+        for sensor in less {
+            complain(
+                "warning",
+                format_args!("{sensor}: {}", less_than_a_turn(args)),
+            );
+        }
+    }
     missing.is_empty()
+}
+
+fn less_than_a_turn(args: &Args) -> String {
+    let part = args.play.part();
+    format!("no whole turn{part}, so there is no sweep: --partial gives the part that is there")
 }
 
 fn missing(
@@ -72,6 +100,9 @@ fn missing(
         missing.push(format!(
             "no data packets{part}; what was read of it spans {seconds:.3} s"
         ));
+    }
+    if !reports.is_empty() && reports.iter().all(SensorReport::is_less_than_a_turn) {
+        missing.push(less_than_a_turn(args));
     }
     let unshared: Vec<String> = args
         .publish

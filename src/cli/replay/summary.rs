@@ -231,6 +231,11 @@ impl<'a> SummaryLine<'a> {
 }
 
 impl<'a> SensorReport<'a> {
+    /// Whether all of its sweeps are partial, and left out.
+    pub fn is_less_than_a_turn(&self) -> bool {
+        self.sums.whole == 0 && self.sums.partial > 0 && !self.partial_emitted
+    }
+
     fn line(&self, timing: bool) -> SensorSummary<'a> {
         let Self { sums, counts, .. } = self;
         let means = &sums.means;
@@ -394,17 +399,25 @@ impl<'a> SensorReport<'a> {
     }
 }
 
-/// Prints the tables of all sensors.
+/// Prints the tables of all sensors, and what was written.
 ///
 /// # Errors
 /// What writing gives.
-pub fn print(other_traffic: u64, reports: &[SensorReport<'_>], timing: bool) -> io::Result<()> {
+pub fn print(
+    other_traffic: u64,
+    reports: &[SensorReport<'_>],
+    written: Option<&str>,
+    timing: bool,
+) -> io::Result<()> {
     let tables: Vec<String> = reports.iter().map(|report| report.table(timing)).collect();
     let mut stdout = io::stdout().lock();
     write!(stdout, "{}", tables.join("\n"))?;
     if other_traffic > 0 && !tables.is_empty() {
         let records = count_of(other_traffic, "record");
         writeln!(stdout, "\npassed over: {records} of other traffic")?;
+    }
+    if let Some(written) = written {
+        writeln!(stdout, "\nwritten: {written}")?;
     }
     stdout.flush()
 }

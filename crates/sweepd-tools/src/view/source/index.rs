@@ -9,6 +9,7 @@ use tokio::sync::watch;
 
 use super::reader::{Reader, SourceConfig, Step};
 use crate::view::channels::{Description, Mark, describe};
+use sweepd::cli::complain;
 use sweepd::text::count_of;
 use sweepd_core::sweep::layout::flags;
 use sweepd_core::sweep::{Header, SweepRef};
@@ -17,6 +18,10 @@ use sweepd_core::sweep::{Header, SweepRef};
 const TELL_EVERY: Duration = Duration::from_millis(300);
 /// Most marks of a sensor: more can neither be seen nor sent to a page.
 const MARKS: usize = 1000;
+
+/// What is said of a capture in which no head turns once.
+pub(super) const NO_TURN: &str =
+    "there is no whole turn in it; `sweepd replay --partial` gives the part that is there";
 
 /// What was found of a sensor.
 #[derive(Default)]
@@ -54,7 +59,12 @@ pub(super) fn make(
                     }
                 }
                 Step::More => {}
-                Step::End => is_complete = true,
+                Step::End => {
+                    is_complete = true;
+                    if found.is_empty() && reader.sensors().next().is_some() {
+                        complain("warning", NO_TURN);
+                    }
+                }
             }
         }
         if is_complete {

@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 
 use hyper::body::Bytes;
 
+use super::index::NO_TURN;
 use super::reader::{Decoded, Labels, Reader, SourceConfig, Step};
 use crate::view::channels::{Command, Publisher, State, packed, sweep_bytes};
 use sweepd_core::buffers::HeapBuffer;
@@ -375,7 +376,7 @@ impl Player {
             },
             (None, None, None) => match self.reader.as_ref().map(Reader::missing).as_deref() {
                 Some([missing, ..]) => missing.clone(),
-                _ => "there is no whole sweep in it".to_owned(),
+                _ => NO_TURN.to_owned(),
             },
             _ if self.is_at_end => "the end".to_owned(),
             _ if self.is_playing => "playing".to_owned(),
