@@ -82,6 +82,10 @@ fn cure_model(error: &DetectError, dialect: Dialect) -> String {
             "{key} cannot help: is this another sensor, two sensors behind one address, or a capture with most packets \
              lost?"
         ),
+        DetectError::Clock { .. } => {
+            "let the simulator or gateway that sends them stamp each with its microsecond of the hour, as a sensor does"
+                .to_owned()
+        }
         DetectError::TooFewPackets { .. } => {
             format!("supported are {}: say which with {key}", supported())
         }

@@ -1,22 +1,16 @@
-//! Record times of a capture that are no times: they stand still, have whole seconds alone, or go
-//! back, as converters and machines without a clock write them. The first packets tell; then the
-//! sensor's own clock gives the time since the first record.
+//! Record times of a capture, judged by the clocks of its sensors. The first datagrams are held
+//! until that is possible, so that no packet gets a time that is none. From then on a datagram is
+//! given as it comes.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::VecDeque;
 use std::net::SocketAddr;
 
+use super::times::{FIRST_NS, JUDGED_AFTER_US, Judge, sensor_us};
 use super::{CaptureCounts, CaptureError, Placed};
-use sweepd_core::wire::data::DATA_PACKET_LEN;
-use sweepd_core::wire::{Datagram, HOUR_US};
+use sweepd_core::wire::Datagram;
 
-/// Sensor time after which the record times of its packets are judged: less than any machine
-/// delays packets, and more than they come in one burst.
-const JUDGED_AFTER_US: i64 = 40_000;
-/// Most datagrams that are held until then.
+/// Most datagrams that are held.
 const MAX_HELD: usize = 1024;
-/// No packet comes later after the one before.
-const LONGEST_STEP_US: i64 = 20_000;
-const SECOND_NS: i64 = 1_000_000_000;
 
 /// A datagram that was read ahead, with the counts up to it.
 pub(super) struct Held {
@@ -26,11 +20,23 @@ pub(super) struct Held {
     source: SocketAddr,
     destination_port: u16,
     payload: Vec<u8>,
-    pub(super) counts: CaptureCounts,
+    counts: CaptureCounts,
 }
 
 impl Held {
-    pub(super) fn placed(&self) -> Placed<'_> {
+    fn new(placed: &Placed<'_>, counts: CaptureCounts) -> Self {
+        Self {
+            record: placed.record,
+            since_start_ns: placed.since_start_ns,
+            arrival_ns: placed.datagram.arrival_ns,
+            source: placed.datagram.source,
+            destination_port: placed.datagram.destination_port,
+            payload: placed.datagram.payload.to_vec(),
+            counts,
+        }
+    }
+
+    fn placed(&self) -> Placed<'_> {
         Placed {
             record: self.record,
             since_start_ns: self.since_start_ns,
@@ -45,160 +51,164 @@ impl Held {
     }
 }
 
-/// The first datagrams of a capture, until their times are judged, and the times in place of those
-/// that are none.
-#[derive(Default)]
+/// What the record times of a capture are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum RecordTimes {
+    /// Not judged yet.
+    Open,
+    Good,
+    /// They go on, in a year that cannot be.
+    Old,
+    /// None: those of the sensors' clocks stand for them.
+    Mended,
+}
+
+/// The record times of a capture, and the first datagrams until these are judged.
 pub(super) struct Arrivals {
+    pub(super) times: RecordTimes,
     held: VecDeque<Held>,
-    /// The one that was given last.
-    pub(super) current: Option<Held>,
-    sources: HashMap<SocketAddr, Source>,
-    /// Once it is judged, whether record times are times.
-    are_times: Option<bool>,
+    /// The one that was given last, if it was held.
+    current: Option<Held>,
     /// How the reading ended, if it did while datagrams were held.
     pub(super) ended: Option<Result<(), CaptureError>>,
-    /// Times in place of those of the records.
-    first_ns: Option<i64>,
-    newest_ns: i64,
-}
-
-/// The data packets of a sender.
-struct Source {
-    last_ns: i64,
-    last_us: u32,
-    /// Sensor time that has passed.
-    passed_us: i64,
-    packets: u32,
-    backwards: u32,
-    stands: bool,
-    is_whole: bool,
-}
-
-impl Source {
-    fn new(arrival_ns: i64, stamp_us: u32) -> Self {
-        Self {
-            last_ns: arrival_ns,
-            last_us: stamp_us,
-            passed_us: 0,
-            packets: 0,
-            backwards: 0,
-            stands: true,
-            is_whole: true,
-        }
-    }
-
-    /// Takes the next packet, and says whether its times can be judged, and are times.
-    fn add(&mut self, arrival_ns: i64, stamp_us: u32) -> Option<bool> {
-        self.packets += 1;
-        let step_us = step_us(self.last_us, stamp_us);
-        // Otherwise the clock of the sensor was set.
-        self.passed_us += step_us.clamp(0, LONGEST_STEP_US);
-        self.stands &= arrival_ns == self.last_ns;
-        self.is_whole &= arrival_ns % SECOND_NS == 0;
-        self.backwards += u32::from(arrival_ns < self.last_ns);
-        (self.last_ns, self.last_us) = (arrival_ns, stamp_us);
-        let goes_back = self.backwards > self.packets / 2;
-        (self.passed_us >= JUDGED_AFTER_US).then_some(!(self.stands || self.is_whole || goes_back))
-    }
-}
-
-/// Microseconds from one stamp of a sensor to the next, which may be an earlier one.
-fn step_us(from_us: u32, to_us: u32) -> i64 {
-    let (hour, half) = (i64::from(HOUR_US), i64::from(HOUR_US / 2));
-    (i64::from(to_us) - i64::from(from_us) + half).rem_euclid(hour) - half
+    senders: Vec<(SocketAddr, Judge)>,
+    /// The first time and the last one, once they are mended.
+    pub(super) first_ns: i64,
+    pub(super) newest_ns: i64,
 }
 
 impl Arrivals {
-    /// Whether datagrams are still to be read ahead.
-    pub(super) fn wants_more(&self) -> bool {
-        self.are_times.is_none()
+    pub(super) fn new() -> Self {
+        Self {
+            times: RecordTimes::Open,
+            held: VecDeque::new(),
+            current: None,
+            ended: None,
+            senders: Vec::new(),
+            first_ns: 0,
+            newest_ns: 0,
+        }
     }
 
-    /// Whether all that was held is given, and record times are times.
-    pub(super) fn is_done(&self) -> bool {
-        self.held.is_empty() && self.ended.is_none() && !self.wants_more() && !self.is_mended()
+    /// Whether datagrams are still to be held.
+    pub(super) fn is_open(&self) -> bool {
+        self.times == RecordTimes::Open
     }
 
-    /// Whether record times are none.
-    pub(super) fn is_mended(&self) -> bool {
-        self.are_times == Some(false)
+    /// Holds a datagram.
+    pub(super) fn hold(&mut self, placed: &Placed<'_>, counts: CaptureCounts) {
+        self.held.push_back(Held::new(placed, counts));
+        let Some((judge, is_none)) = self.judge(&placed.datagram) else {
+            if self.held.len() >= MAX_HELD {
+                self.decide(false);
+            }
+            return;
+        };
+        if judge.passed_us >= JUDGED_AFTER_US || self.held.len() >= MAX_HELD {
+            self.decide(is_none);
+        }
     }
 
     /// Nothing more comes: what could not be judged are times.
     pub(super) fn end(&mut self, ended: Result<(), CaptureError>) {
         self.ended = Some(ended);
-        self.are_times.get_or_insert(true);
+        self.decide(false);
     }
 
-    /// Holds a datagram.
-    pub(super) fn hold(&mut self, placed: &Placed<'_>, counts: CaptureCounts) {
-        let Datagram {
-            arrival_ns,
-            source,
-            destination_port,
-            payload,
-        } = placed.datagram;
-        if let Some(stamp_us) = sensor_us(payload) {
-            let begun = Source::new(arrival_ns, stamp_us);
-            let entry = self.sources.entry(source).or_insert(begun);
-            self.are_times = entry.add(arrival_ns, stamp_us);
-        }
-        if self.held.len() == MAX_HELD {
-            self.are_times.get_or_insert(true);
-        }
-        if self.are_times.is_some() {
-            // Each begins again with the first packet that is given.
-            self.sources.clear();
-        }
-        self.held.push_back(Held {
-            record: placed.record,
-            since_start_ns: placed.since_start_ns,
-            arrival_ns,
-            source,
-            destination_port,
-            payload: payload.to_vec(),
-            counts,
-        });
+    /// The judge of a datagram's sender, after this datagram, and whether the times are none.
+    fn judge(&mut self, datagram: &Datagram<'_>) -> Option<(&Judge, bool)> {
+        let stamp_us = sensor_us(datagram.payload)?;
+        let index = self.sender(datagram.source, datagram.arrival_ns, stamp_us);
+        let judge = &mut self.senders[index].1;
+        let is_none = judge.add(datagram.arrival_ns, stamp_us);
+        Some((judge, is_none))
     }
 
-    /// Takes the next datagram that is held.
+    /// The number of a sender, which begins with this packet if it is new.
+    fn sender(&mut self, source: SocketAddr, time_ns: i64, stamp_us: u32) -> usize {
+        let known = self
+            .senders
+            .iter()
+            .position(|(sender, _)| *sender == source);
+        known.unwrap_or_else(|| {
+            self.senders.push((source, Judge::new(time_ns, stamp_us)));
+            self.senders.len() - 1
+        })
+    }
+
+    /// Judges the times of the datagrams that are held.
+    fn decide(&mut self, is_none: bool) {
+        let times_ns = self.held.iter().map(|held| held.arrival_ns);
+        let is_old = |ns: Option<i64>| ns.is_some_and(|ns| ns < FIRST_NS);
+        let begins_old = is_old(times_ns.clone().next());
+        let ends_old = is_old(times_ns.clone().last());
+        let first_ns = times_ns.clone().find(|&ns| ns >= FIRST_NS);
+        if is_none || begins_old && !ends_old {
+            self.begin(first_ns.or(times_ns.clone().next()).unwrap_or(0));
+        } else if begins_old {
+            self.times = RecordTimes::Old;
+        } else {
+            self.times = RecordTimes::Good;
+        }
+    }
+
+    /// From here on, the clock of each sensor begins with its next packet.
+    fn begin(&mut self, first_ns: i64) {
+        self.senders.clear();
+        self.times = RecordTimes::Mended;
+        (self.first_ns, self.newest_ns) = (first_ns, first_ns);
+    }
+
+    /// Goes on to the next datagram that is held; `false` if there is none.
     pub(super) fn advance(&mut self) -> bool {
-        self.current = self.held.pop_front();
-        let Some(mut held) = self.current.take() else {
+        self.current = None;
+        let Some(mut held) = self.held.pop_front() else {
             return false;
         };
-        let mended = self.mend(held.placed());
+        let mut placed = held.placed();
+        if self.times == RecordTimes::Mended {
+            self.mend(&mut placed);
+        }
         (held.arrival_ns, held.since_start_ns) =
-            (mended.datagram.arrival_ns, mended.since_start_ns);
+            (placed.datagram.arrival_ns, placed.since_start_ns);
         self.current = Some(held);
         true
     }
 
-    /// The datagram, with a time in place of that of its record if that is none.
-    pub(super) fn mend<'a>(&mut self, mut placed: Placed<'a>) -> Placed<'a> {
-        if !self.is_mended() {
-            return placed;
+    /// The counts at the datagram that was held.
+    pub(super) fn counts(&self) -> Option<CaptureCounts> {
+        self.current.as_ref().map(|held| held.counts)
+    }
+
+    /// The datagram that was held.
+    pub(super) fn current(&self) -> Option<Placed<'_>> {
+        self.current.as_ref().map(Held::placed)
+    }
+
+    /// A datagram that was not held.
+    pub(super) fn follow<'a>(&mut self, mut placed: Placed<'a>) -> Placed<'a> {
+        let datagram = &placed.datagram;
+        if self.times != RecordTimes::Mended {
+            let Some((_, true)) = self.judge(datagram) else {
+                return placed;
+            };
+            self.times = RecordTimes::Mended;
+            self.first_ns = datagram.arrival_ns.saturating_sub(placed.since_start_ns);
+        } else if self.newest_ns < FIRST_NS && datagram.arrival_ns >= FIRST_NS {
+            self.begin(datagram.arrival_ns);
         }
-        let datagram = &mut placed.datagram;
-        let first_ns = *self.first_ns.get_or_insert(datagram.arrival_ns);
-        self.newest_ns = self.newest_ns.max(first_ns);
-        if let Some(stamp_us) = sensor_us(datagram.payload) {
-            let begun = Source::new(self.newest_ns, stamp_us);
-            let source = self.sources.entry(datagram.source).or_insert(begun);
-            let step_ns = step_us(source.last_us, stamp_us) * 1000;
-            source.last_us = stamp_us;
-            source.last_ns = source.last_ns.saturating_add(step_ns);
-            self.newest_ns = source.last_ns;
-        }
-        datagram.arrival_ns = self.newest_ns;
-        placed.since_start_ns = self.newest_ns.saturating_sub(first_ns);
+        self.mend(&mut placed);
         placed
     }
-}
 
-/// The stamp of the sensor in a data packet, microseconds of the hour.
-fn sensor_us(payload: &[u8]) -> Option<u32> {
-    let packet: &[u8; DATA_PACKET_LEN] = payload.try_into().ok()?;
-    let &[.., a, b, c, d, _, _] = packet;
-    Some(u32::from_le_bytes([a, b, c, d]))
+    /// Gives a datagram the time of its sensor's clock.
+    fn mend(&mut self, placed: &mut Placed<'_>) {
+        let datagram = &mut placed.datagram;
+        if let Some(stamp_us) = sensor_us(datagram.payload) {
+            let index = self.sender(datagram.source, self.newest_ns, stamp_us);
+            self.newest_ns = self.senders[index].1.clock.advance(stamp_us);
+        }
+        datagram.arrival_ns = self.newest_ns;
+        placed.since_start_ns = self.newest_ns.saturating_sub(self.first_ns);
+    }
 }

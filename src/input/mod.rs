@@ -20,13 +20,14 @@ mod payloads;
 pub mod pcap;
 mod pcapng;
 pub(crate) mod source;
+mod times;
 pub mod udp;
 pub mod write;
 
 use std::io::Read;
 use std::path::Path;
 
-use arrivals::{Arrivals, Held};
+use arrivals::{Arrivals, RecordTimes};
 use bag::{Bag, Step};
 pub use error::{CaptureError, Damage, Place, Truncation};
 pub use frame::Record;
@@ -101,14 +102,19 @@ impl CaptureCounts {
 pub struct Capture {
     reader: Reader,
     stats: CaptureStats,
-    /// Of frames, until their times are judged, and beyond where these are none.
-    arrivals: Option<Box<Arrivals>>,
 }
 
 enum Reader {
-    Frames(Box<(CaptureReader, Decapsulator)>),
+    Frames(Box<Frames>),
     Bag(Box<Bag>),
     Payloads(Box<Payloads>),
+}
+
+/// What reads frames.
+struct Frames {
+    reader: CaptureReader,
+    decapsulator: Decapsulator,
+    arrivals: Arrivals,
 }
 
 /// A datagram with its place in the capture.
@@ -220,14 +226,16 @@ impl Capture {
             return Ok(Self {
                 reader: Reader::Payloads(Box::new(Payloads::over(opened))),
                 stats: CaptureStats::default(),
-                arrivals: None,
             });
         }
-        let frames = (CaptureReader::over(opened)?, Decapsulator::new());
+        let frames = Frames {
+            reader: CaptureReader::over(opened)?,
+            decapsulator: Decapsulator::new(),
+            arrivals: Arrivals::new(),
+        };
         Ok(Self {
             reader: Reader::Frames(Box::new(frames)),
             stats: CaptureStats::default(),
-            arrivals: Some(Box::default()),
         })
     }
 
@@ -235,7 +243,6 @@ impl Capture {
         Self {
             reader: Reader::Bag(Box::new(bag)),
             stats: CaptureStats::default(),
-            arrivals: None,
         }
     }
 
@@ -253,26 +260,18 @@ impl Capture {
     /// # Errors
     /// As there.
     pub fn next_placed(&mut self) -> Result<Option<Placed<'_>>, CaptureError> {
-        if self
-            .arrivals
-            .as_ref()
-            .is_some_and(|arrivals| arrivals.is_done())
-        {
-            self.arrivals = None;
-        }
         let stats = &mut self.stats;
-        match (&mut self.reader, &mut self.arrivals) {
-            (Reader::Frames(frames), Some(arrivals)) => next_judged(frames, stats, arrivals),
-            (Reader::Frames(frames), None) => next_frame(&mut frames.0, &mut frames.1, stats),
-            (Reader::Bag(bag), _) => next_packet(bag, stats),
-            (Reader::Payloads(payloads), _) => next_payload(payloads, stats),
+        match &mut self.reader {
+            Reader::Frames(frames) => next_judged(frames, stats),
+            Reader::Bag(bag) => next_packet(bag, stats),
+            Reader::Payloads(payloads) => next_payload(payloads, stats),
         }
     }
 
     /// The record that was read last, for messages; a bag and bare packets have none.
     pub fn record(&self) -> Option<Record<'_>> {
         match &self.reader {
-            Reader::Frames(frames) => frames.0.record(),
+            Reader::Frames(frames) => frames.reader.record(),
             Reader::Bag(_) | Reader::Payloads(_) => None,
         }
     }
@@ -286,23 +285,38 @@ impl Capture {
         }
     }
 
-    /// Whether the times of records, or in a bag the stamps of packets, were no times so far, so that
-    /// the sensor's clock stands for them; in a bag after its record times.
-    pub fn is_restamped(&self) -> bool {
+    /// What people should know of the times so far: what stands for those that are none. They
+    /// would stand still, go back, have whole seconds alone, or lie before 1990.
+    pub fn remark(&self) -> Option<&'static str> {
         match &self.reader {
-            Reader::Bag(bag) => bag.is_restamped(),
-            _ => self
-                .arrivals
-                .as_ref()
-                .is_some_and(|arrivals| arrivals.is_mended()),
+            Reader::Frames(frames) => match frames.arrivals.times {
+                RecordTimes::Open | RecordTimes::Good => None,
+                RecordTimes::Old => Some(
+                    "times of its records lie before 1990: the clock that gave them was not set",
+                ),
+                RecordTimes::Mended => Some(
+                    "times of its records stand still, go back, have whole seconds alone or lie before 1990: the sensor's clock \
+                     gives them",
+                ),
+            },
+            Reader::Bag(bag) if bag.is_restamped() => Some(
+                "stamps of its packets stand still, go back, have whole seconds alone or lie before 1990: the times at which the bag \
+                 recorded the messages are taken, with the sensor's clock between them",
+            ),
+            Reader::Bag(_) => None,
+            Reader::Payloads(_) => Some(
+                "bare packets have no times: the sensor's clock gives them, as if its hour were the first of 1970",
+            ),
         }
     }
 
     /// Counts of records read and skipped so far.
     pub fn counts(&self) -> CaptureCounts {
-        let arrivals = self.arrivals.as_ref();
-        let current = arrivals.and_then(|arrivals| arrivals.current.as_ref());
-        current.map_or(self.stats.counts, |held| held.counts)
+        let held = match &self.reader {
+            Reader::Frames(frames) => frames.arrivals.counts(),
+            _ => None,
+        };
+        held.unwrap_or(self.stats.counts)
     }
 
     /// The link types met so far, at most 16.
@@ -312,18 +326,29 @@ impl Capture {
 
     /// Time of the first record that has one, nanoseconds since 1970.
     pub fn first_ns(&self) -> Option<i64> {
-        self.stats.first_ns
+        let mended = self.mended().map(|arrivals| arrivals.first_ns);
+        mended.or(self.stats.first_ns)
     }
 
     /// Time of the last record read that has one, nanoseconds since 1970.
     pub fn last_ns(&self) -> Option<i64> {
-        self.stats.last_ns
+        let mended = self.mended().map(|arrivals| arrivals.newest_ns);
+        mended.or(self.stats.last_ns)
+    }
+
+    fn mended(&self) -> Option<&Arrivals> {
+        match &self.reader {
+            Reader::Frames(frames) if frames.arrivals.times == RecordTimes::Mended => {
+                Some(&frames.arrivals)
+            }
+            _ => None,
+        }
     }
 
     /// Where and why the capture broke off; `None` if it has not.
     pub fn truncation(&self) -> Option<&Truncation> {
         match &self.reader {
-            Reader::Frames(frames) => frames.0.truncation(),
+            Reader::Frames(frames) => frames.reader.truncation(),
             Reader::Bag(bag) => bag.truncation(),
             Reader::Payloads(payloads) => payloads.truncation(),
         }
@@ -332,34 +357,38 @@ impl Capture {
     /// The path or name that the capture was opened with.
     pub fn name(&self) -> &str {
         match &self.reader {
-            Reader::Frames(frames) => frames.0.name(),
+            Reader::Frames(frames) => frames.reader.name(),
             Reader::Bag(bag) => bag.name(),
             Reader::Payloads(payloads) => payloads.name(),
         }
     }
 }
 
-/// The next datagram of frames, of which the first are read ahead until their times are judged.
+/// The next datagram of frames, of which the first are held until their times are judged.
 fn next_judged<'a>(
-    frames: &'a mut (CaptureReader, Decapsulator),
+    frames: &'a mut Frames,
     stats: &mut CaptureStats,
-    arrivals: &'a mut Arrivals,
 ) -> Result<Option<Placed<'a>>, CaptureError> {
-    while arrivals.wants_more() {
-        match next_frame(&mut frames.0, &mut frames.1, stats) {
+    let Frames {
+        reader,
+        decapsulator,
+        arrivals,
+    } = frames;
+    while arrivals.is_open() {
+        match next_frame(reader, decapsulator, stats) {
             Ok(Some(placed)) => arrivals.hold(&placed, stats.counts),
             Ok(None) => arrivals.end(Ok(())),
             Err(error) => arrivals.end(Err(error)),
         }
     }
     if arrivals.advance() {
-        return Ok(arrivals.current.as_ref().map(Held::placed));
+        return Ok(arrivals.current());
     }
     if let Some(ended) = arrivals.ended.take() {
         return ended.map(|()| None);
     }
-    let placed = next_frame(&mut frames.0, &mut frames.1, stats)?;
-    Ok(placed.map(|placed| arrivals.mend(placed)))
+    let placed = next_frame(reader, decapsulator, stats)?;
+    Ok(placed.map(|placed| arrivals.follow(placed)))
 }
 
 fn next_frame<'a>(

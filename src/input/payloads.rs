@@ -12,9 +12,10 @@ use std::net::{Ipv4Addr, SocketAddr};
 
 use super::error::{CaptureError, Damage, Place, Stop, Truncation};
 use super::source::Opened;
+use super::times::{SensorClock, sensor_us};
 use sweepd_core::wire::data::{DATA_PACKET_LEN, FLAG_BANK_0, FLAGS};
 use sweepd_core::wire::position::POSITION_PACKET_LEN;
-use sweepd_core::wire::{DATA_PORT, Datagram, HOUR_US, POSITION_PORT};
+use sweepd_core::wire::{DATA_PORT, Datagram, POSITION_PORT};
 
 /// Where the sentence of the receiver stands in a position packet (VLP-16 User Manual, section 9.3).
 const SENTENCE_AT: usize = 206;
@@ -26,9 +27,8 @@ pub(super) struct Payloads {
     /// Bytes of the current packet; 0 if there is none.
     len: usize,
     packets: u64,
-    /// Of the last data packet, microseconds.
-    stamp_us: Option<u32>,
-    time_ns: i64,
+    /// At the last data packet.
+    clock: Option<SensorClock>,
     ended: bool,
     truncation: Option<Truncation>,
 }
@@ -47,8 +47,7 @@ impl Payloads {
             packet: [0; DATA_PACKET_LEN],
             len: 0,
             packets: 0,
-            stamp_us: None,
-            time_ns: 0,
+            clock: None,
             ended: false,
             truncation: None,
         }
@@ -106,16 +105,10 @@ impl Payloads {
             return Ok(POSITION_PACKET_LEN);
         }
         self.opened.input.fill_whole(rest)?;
-        let &[.., a, b, c, d, _, _] = &self.packet;
-        let stamp_us = u32::from_le_bytes([a, b, c, d]);
-        let last_us = self.stamp_us.replace(stamp_us);
-        let mut step_us = i64::from(stamp_us) - i64::from(last_us.unwrap_or(0));
-        // It begins again each hour; what is late goes back.
-        let hour_us = i64::from(HOUR_US);
-        if last_us.is_some() && step_us.abs() > hour_us / 2 {
-            step_us -= hour_us * step_us.signum();
+        if let Some(stamp_us) = sensor_us(&self.packet) {
+            let begun = SensorClock::new(i64::from(stamp_us) * 1000, stamp_us);
+            self.clock.get_or_insert(begun).advance(stamp_us);
         }
-        self.time_ns = self.time_ns.saturating_add(step_us * 1000);
         Ok(DATA_PACKET_LEN)
     }
 
@@ -126,7 +119,7 @@ impl Payloads {
             _ => DATA_PORT,
         };
         Datagram {
-            arrival_ns: self.time_ns,
+            arrival_ns: self.clock.map_or(0, |clock| clock.time_ns),
             source: SocketAddr::from((Ipv4Addr::UNSPECIFIED, port)),
             destination_port: port,
             payload: &self.packet[..self.len],

@@ -432,57 +432,89 @@ fn bare_packets_have_the_clock_of_the_sensor() {
     );
 }
 
-/// A data packet each millisecond of the sensor's clock, with these record times, microseconds.
-fn times_of(record_us: impl Fn(u32) -> u64) -> (Vec<i64>, bool) {
-    let mut frames = Vec::new();
-    for number in 0..100_u32 {
+/// Data packets with these stamps of the sensor and record times, microseconds: the times that are
+/// read, and what is said of them.
+fn times_of(packets: impl Iterator<Item = (u64, u64)>) -> (Vec<u64>, Option<&'static str>) {
+    let frames = packets.map(|(sensor_us, record_us)| {
         let mut packet = [1; 1206];
-        packet[1200..1204].copy_from_slice(
-            &(3_599_950_000 + number * 1000)
-                .rem_euclid(3_600_000_000)
-                .to_le_bytes(),
-        );
-        let time_us = record_us(number);
-        let seconds = (time_us / 1_000_000) as u32;
-        frames.push((seconds, (time_us % 1_000_000) as u32, frame(&packet)));
-    }
-    let frames: Vec<_> = frames
-        .iter()
-        .map(|(s, us, frame)| (*s, *us, &frame[..]))
-        .collect();
+        let stamp_us = (sensor_us % 3_600_000_000) as u32;
+        packet[1200..1204].copy_from_slice(&stamp_us.to_le_bytes());
+        let seconds = (record_us / 1_000_000) as u32;
+        (seconds, (record_us % 1_000_000) as u32, frame(&packet))
+    });
+    let frames: Vec<_> = frames.collect();
+    let frames: Vec<_> = (frames.iter().map(|(s, us, frame)| (*s, *us, &frame[..]))).collect();
     let file = pcap(ByteOrder::Little, MICROSECONDS, 1, &frames);
     let (all, capture) = datagrams(&file).unwrap();
-    let counts = capture.counts();
-    assert_eq!((counts.records, counts.datagrams), (100, 100));
-    (
-        all.iter().map(|one| one.0 / 1000).collect(),
-        capture.is_restamped(),
-    )
+    let (counts, count) = (capture.counts(), frames.len() as u64);
+    assert_eq!((counts.records, counts.datagrams), (count, count));
+    let times = all.iter().map(|one| (one.0 / 1000) as u64).collect();
+    (times, capture.remark())
 }
 
 #[test]
 fn record_times_that_are_none_give_way_to_the_clock_of_the_sensor() {
-    let start_us = 1_700_000_000_000_000;
-    let cases: [(u64, &dyn Fn(u32) -> u64); 4] = [
-        (0, &|_| 0),
-        (start_us + 5, &|_| start_us + 5),
-        (start_us, &|number| {
-            start_us + u64::from(number / 70) * 1_000_000
+    const START_US: u64 = 1_700_000_000_400_000;
+    let right = |number: u64| START_US + number * 1000;
+    let whole = |us: u64| us / 1_000_000 * 1_000_000;
+    let cases: [(&str, u64, &dyn Fn(u64) -> u64); 8] = [
+        ("never set", 0, &|_| 0),
+        ("stand", START_US, &|_| START_US),
+        ("whole seconds", whole(START_US), &|n| whole(right(n))),
+        ("go back", START_US, &|n| START_US - n * 40),
+        ("ticks of a message", START_US, &|n| right(n / 100 * 100)),
+        ("are set back", START_US, &|n| {
+            right(n) - if n < 450 { 0 } else { 5_000_000 }
         }),
-        (start_us, &|number| start_us - u64::from(number) * 40),
+        ("lose their seconds", START_US, &|n| {
+            whole(START_US) + right(n) % 1_000_000
+        }),
+        ("begin with 0", START_US + 1000, &|n| {
+            right(n) * u64::from(n > 0)
+        }),
     ];
-    for (first_us, record_us) in cases {
-        let expected: Vec<i64> = (0..100)
-            .map(|number| first_us as i64 + number * 1000)
-            .collect();
-        assert_eq!(times_of(record_us), (expected, true));
+    for (name, first_us, record_us) in cases {
+        let expected: Vec<u64> = (0..900).map(|n| first_us + n * 1000).collect();
+        let sensor_us = |n| 3_599_950_000 + n * 1000;
+        let (times, remark) = times_of((0..900).map(|n| (sensor_us(n), record_us(n))));
+        assert_eq!(times, expected, "{name}");
+        assert!(
+            remark.unwrap().contains("the sensor's clock gives"),
+            "{name}"
+        );
     }
-    // A burst, and the ticks of a coarse clock.
-    for ticks in [1, 15_600] {
-        let record_us =
-            |number: u32| start_us + 7 + u64::from(number.max(30)) * 1000 / ticks * ticks;
-        let expected = (0..100).map(|number| record_us(number) as i64).collect();
-        assert_eq!(times_of(record_us), (expected, false));
+}
+
+#[test]
+fn record_times_that_go_on_stay() {
+    const START_US: u64 = 1_700_000_000_400_000;
+    let right = |number: u64| START_US + number * 1000;
+    let hour = 3_600_000_000;
+    let cases: [(&str, &dyn Fn(u64) -> u64); 6] = [
+        ("burst", &|n| right(n.max(30))),
+        ("ticks of Windows", &|n| right(n) / 15_600 * 15_600),
+        ("late ones", &|n| right(n ^ 1)),
+        ("a corrupt one", &|n| {
+            right(n) + u64::from(n == 300) * 9_000_000_000_000
+        }),
+        ("old", &|n| right(n) - START_US + 5),
+        // Two recordings are joined in the wrong order.
+        ("joined", &|n| right(n) + u64::from(n < 450) * hour / 2),
+    ];
+    for (name, record_us) in cases {
+        let sensor_us = |n| match name {
+            "joined" => record_us(n),
+            _ => n * 1000,
+        };
+        let (times, remark) = times_of((0..900).map(|n| (sensor_us(n), record_us(n))));
+        let expected: Vec<u64> = (0..900).map(record_us).collect();
+        let differs = times
+            .iter()
+            .zip(&expected)
+            .find(|(one, other)| one != other);
+        assert_eq!(differs, None, "{name}");
+        let is_old = remark.is_some_and(|remark| remark.contains("lie before 1990: the clock"));
+        assert_eq!((is_old, remark.is_some()), (name == "old", name == "old"));
     }
 }
 

@@ -140,8 +140,20 @@ pub mod ros1 {
     }
 
     pub fn message(connection: u32, data: &[u8]) -> Vec<u8> {
+        message_at(connection, 0, data)
+    }
+
+    /// A message that was recorded at a time in nanoseconds.
+    pub fn message_at(connection: u32, logged_ns: i64, data: &[u8]) -> Vec<u8> {
         let number = connection.to_le_bytes();
-        record(&[("op", &[2]), ("conn", &number), ("time", &[0; 8])], data)
+        let [seconds, nanoseconds] = [logged_ns / 1_000_000_000, logged_ns % 1_000_000_000];
+        let time = [seconds as u32, nanoseconds as u32].map(u32::to_le_bytes);
+        let head: [(&str, &[u8]); 3] = [
+            ("op", &[2]),
+            ("conn", &number),
+            ("time", time.as_flattened()),
+        ];
+        record(&head, data)
     }
 
     pub fn chunk(compression: &str, records: &[u8]) -> Vec<u8> {

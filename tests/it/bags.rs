@@ -341,45 +341,72 @@ fn scans_of_other_packages_are_read() {
     );
 }
 
-/// Stamps of a clock that stands still, goes back or was never set: the record times of the messages
-/// are taken. A packet of this kit has its byte four times as the sensor's stamp.
-#[test]
-fn stamps_that_are_no_times_are_replaced_by_record_times() {
-    let tick_ns = 0x0101_0101 * 1000;
-    let start_ns = 1_700_000_000 * S + 7;
+/// Of these stamps, three in each of three messages, what is read: the packets' times, and whether
+/// something is said of them. Message by message, the record time moves on as the packets do.
+fn times_of(stamps: [i64; 9], logged_ns: [i64; 3]) -> [(Vec<i64>, bool); 2] {
+    let mut messages = [Vec::new(), Vec::new()];
+    for (number, stamps) in stamps.chunks(3).enumerate() {
+        let packets: Vec<Stamped> = (1..)
+            .zip(stamps)
+            .map(|(n, &ns)| (ns, n + 3 * number as u8))
+            .collect();
+        messages[0].push(mcap::message_at(
+            0,
+            logged_ns[number],
+            &cdr(&packets, false),
+        ));
+        messages[1].push(ros1::message_at(0, logged_ns[number], &ros1_scan(&packets)));
+    }
     let names = [mcap::schema(1, SCAN), mcap::channel(0, 1, "/left", "cdr")].concat();
-    let read_of = |stamps: [i64; 4]| {
-        let [a, b, c, d] = stamps;
-        let file = mcap::file(&[
-            names.clone(),
-            mcap::message_at(0, start_ns, &cdr(&[(a, 1), (b, 2)], false)),
-            mcap::message_at(0, start_ns + 2 * tick_ns, &cdr(&[(c, 3), (d, 4)], false)),
-        ]);
+    let files = [
+        mcap::file(&[names, messages[0].concat()]),
+        ros1::file(
+            true,
+            &[
+                ros1::connection(0, "/left", ROS1_SCAN),
+                messages[1].concat(),
+            ],
+        ),
+    ];
+    files.map(|file| {
         let mut capture = open(&file).unwrap();
         let mut times = Vec::new();
         while let Some(datagram) = capture.next_datagram().unwrap() {
             times.push(datagram.arrival_ns);
         }
-        (times, capture.is_restamped())
-    };
-    let expected: Vec<i64> = (-1..3).map(|tick| start_ns + tick * tick_ns).collect();
+        (times, capture.remark().is_some())
+    })
+}
+
+/// Stamps of a clock that stands still, goes back or was never set: the record time of a message is
+/// that of its last packet. A packet of this kit has its byte four times as the sensor's stamp.
+#[test]
+fn stamps_that_are_no_times_are_replaced_by_record_times() {
+    let tick_ns = 0x0101_0101 * 1000;
+    let start_ns = 1_700_000_000 * S + 7;
     let whole = 1_600_000_000 * S;
+    let logged_ns = [2, 5, 8].map(|tick| start_ns + tick * tick_ns);
+    let right = [0, 1, 2, 3, 4, 5, 6, 7, 8].map(|tick| start_ns + tick * tick_ns);
     for stamps in [
-        [0; 4],
-        [904_000_000 * S + 32_000; 4],
-        [5, 6, 7, 8],
-        [whole, whole, whole + S, whole + S],
-        [whole + 9 * S + 1, whole + 2, whole + 9 * S + 3, whole + 4],
+        [0; 9],
+        [904_000_000 * S + 32_000; 9],
+        [5, 6, 7, 8, 9, 10, 11, 12, 13],
+        [0, 0, 0, 1, 1, 1, 2, 2, 2].map(|s| whole + s * S),
+        [0, 0, 0, 1, 1, 1, 2, 2, 2].map(|message| whole + 7 + message * tick_ns),
+        [9, 8, 7, 6, 5, 4, 3, 2, 1].map(|back| whole + back * S + 1),
     ] {
-        assert_eq!(read_of(stamps), (expected.clone(), true), "{stamps:?}");
+        assert_eq!(times_of(stamps, logged_ns), vec![(right.to_vec(), true); 2]);
+        // A converter may have no record times, either: the first stamp is all there is.
+        if stamps[0] >= whole {
+            let expected = right.map(|ns| ns - start_ns + stamps[0]);
+            for logged_ns in [[0; 3], [stamps[0] + 2 * tick_ns; 3]] {
+                let found = times_of(stamps, logged_ns);
+                assert_eq!(found, vec![(expected.to_vec(), true); 2]);
+            }
+        }
     }
-    let good = [
-        whole + 1,
-        whole + tick_ns,
-        whole + 2 * tick_ns,
-        whole + 3 * tick_ns,
-    ];
-    assert_eq!(read_of(good), (good.to_vec(), false));
+    let good = right.map(|ns| ns - S);
+    assert_eq!(times_of(good, logged_ns), vec![(good.to_vec(), false); 2]);
 }
 
 #[test]

@@ -15,18 +15,8 @@ pub(super) fn show_damage(capture: &Capture, read: Result<(), CaptureError>) -> 
         let message = format!("{name}: {truncation}; everything before was replayed");
         complain("warning", message);
     }
-    if capture.is_restamped() {
-        let message = match capture.bag_format() {
-            Some(_) => {
-                "stamps of its packets stand still, go back or lie before 1990: the times at which the bag \
-                 recorded the messages are taken, with the sensor's clock between them"
-            }
-            None => {
-                "the times of its records stand still, have whole seconds alone or go back: the sensor's \
-                 clock gives the time since the first"
-            }
-        };
-        complain("warning", format_args!("{name}: {message}"));
+    if let Some(remark) = capture.remark() {
+        complain("warning", format_args!("{name}: {remark}"));
     }
     let cut = capture.counts().truncated_records;
     if cut > 0 {

@@ -12,14 +12,12 @@
 //! 1.3, section 7.4. A fork may have other fields around the packets: [`ScanLayout`].
 
 use super::definition::{Part, ScanLayout};
-use super::stamps::Recorded;
 use crate::input::source::ByteOrder;
+use crate::input::times::{SensorClock, sensor_us};
 use sweepd_core::wire::data::DATA_PACKET_LEN;
 
 const STAMP_LEN: usize = 8;
 const ENCAPSULATION_LEN: usize = 4;
-/// Where the sensor's own stamp is in a packet.
-const STAMP_AT: usize = 1200;
 /// The header, with the sequence number of ROS 1, and without it.
 const HEADER: [Part; 4] = [
     Part::Number(4),
@@ -55,8 +53,8 @@ pub(super) struct Scan {
     at: usize,
     /// Packets that are left.
     left: u32,
-    /// Where the stamps are no times.
-    recorded: Option<Recorded>,
+    /// What gives the times, where the stamps are none.
+    clock: Option<SensorClock>,
 }
 
 impl Scan {
@@ -96,7 +94,7 @@ impl Scan {
             encoding,
             at,
             left,
-            recorded: None,
+            clock: None,
         };
         // The last packet has no padding, and writers pad a message to a multiple of 4, or not.
         let expected = u64::from(left) * scan.stride() as u64;
@@ -135,22 +133,25 @@ impl Scan {
             return None;
         }
         let (stamp_ns, packet) = self.packet_at(self.at)?;
-        let recorded = self.recorded.map(|times| times.time_ns(sensor_us(packet)));
-        Some((recorded.unwrap_or(stamp_ns), packet))
+        let time_ns = match self.clock {
+            Some(clock) => sensor_us(packet).map_or(clock.time_ns, |us| clock.at(us)),
+            None => stamp_ns,
+        };
+        Some((time_ns, packet))
     }
 
-    /// The stamps of the packets that are left, and those of the sensor in them.
+    /// The stamps of the data packets that are left, and those of the sensor in them.
     pub(super) fn stamps(&self) -> impl Iterator<Item = (i64, u32)> {
         let packets = (0..self.left as usize).map(|number| self.at + number * self.stride());
         packets.filter_map(|at| {
             let (stamp_ns, packet) = self.packet_at(at)?;
-            Some((stamp_ns, sensor_us(packet)))
+            Some((stamp_ns, sensor_us(packet)?))
         })
     }
 
-    /// Its packets get these times in place of their stamps.
-    pub(super) fn set_recorded(&mut self, recorded: Recorded) {
-        self.recorded = Some(recorded);
+    /// Its packets get the times of this clock in place of their stamps.
+    pub(super) fn set_clock(&mut self, clock: SensorClock) {
+        self.clock = Some(clock);
     }
 
     fn packet_at(&self, at: usize) -> Option<(i64, &[u8])> {
@@ -170,10 +171,4 @@ impl Scan {
         self.at += self.stride();
         self.left = self.left.saturating_sub(1);
     }
-}
-
-/// The stamp of the sensor in a packet, microseconds of the hour.
-fn sensor_us(packet: &[u8]) -> u32 {
-    let stamp = packet.get(STAMP_AT..).and_then(|rest| rest.first_chunk());
-    stamp.map_or(0, |&bytes| u32::from_le_bytes(bytes))
 }

@@ -28,10 +28,11 @@ mod turn;
 pub use detection::{Basis, Detection};
 pub use error::DetectError;
 pub(crate) use timing::is_next;
+pub use timing::since;
 
 use std::cmp::Ordering;
 
-use timing::{ModelTiming, fits, fits_once, since, timing_of, timings};
+use timing::{ModelTiming, fits, fits_once, timing_of, timings};
 use turn::Turn;
 
 use super::model::Spec;
@@ -43,6 +44,11 @@ pub const MAX_PACKETS: usize = 12;
 
 /// Intervals that must agree before the last packet.
 const ENOUGH: usize = 2;
+/// Packets with the stamp of the one before that are not chance: the clock stands still, or ticks
+/// coarsely.
+const UNMOVED: usize = 3;
+/// Ticks that are coarse, microseconds. By chance, no ten intervals are multiples of so much.
+const COARSE_US: u32 = 1000;
 /// Product bytes of sensors that use this protocol and are not supported.
 const UNSUPPORTED: [(u8, &str); 2] = [(0x23, "VLP-32A or VLP-32B"), (0x31, "Velarray")];
 /// The packet period of a VLS-128 is within this share of that of its most usual firmware, if
@@ -98,6 +104,10 @@ pub struct Detector {
     stamps: [i64; MAX_PACKETS],
     first_stamp: u32,
     len: usize,
+    /// Stamp and first azimuth of the last packet.
+    last: (u32, u16),
+    /// Packets of another azimuth with the stamp of the one before.
+    unmoved: usize,
 }
 
 /// The intervals between the packets so far and how many of them each timing explains.
@@ -136,6 +146,8 @@ impl Detector {
             stamps: [0; MAX_PACKETS],
             first_stamp: 0,
             len: 0,
+            last: (0, 0),
+            unmoved: 0,
         }
     }
 
@@ -192,6 +204,9 @@ impl Detector {
     pub fn conclude(&self) -> Result<Detection, DetectError> {
         self.check_layout()?;
         let intervals = self.intervals();
+        if self.unmoved >= UNMOVED {
+            return Err(intervals.coarse());
+        }
         if self.bytes.banks.count() == Some(4) {
             return Ok(self.vls128(&intervals));
         }
@@ -209,6 +224,7 @@ impl Detector {
         }
         match unsupported(self.bytes.product) {
             Some(sensor) => Err(DetectError::Unsupported { sensor }),
+            None if intervals.tick_us() >= COARSE_US => Err(intervals.coarse()),
             None => Err(DetectError::UnknownPeriod {
                 median_us: intervals.median(),
                 mode: best.return_mode,
@@ -241,6 +257,7 @@ impl Detector {
             self.turn = Turn::default();
             self.first_stamp = packet.stamp_us();
             self.len = 0;
+            self.unmoved = 0;
         }
         let is_paired = if self.has_heads() {
             detection::says_two_returns(packet)
@@ -256,7 +273,11 @@ impl Detector {
         if self.bytes.banks == Banks::One {
             self.turn.note(packet);
         }
-        self.stamps[self.len] = since(self.first_stamp, packet.stamp_us());
+        let (stamp_us, azimuth) = (packet.stamp_us(), packet.blocks[0].azimuth_cdeg());
+        let is_unmoved = self.len > 0 && stamp_us == self.last.0 && azimuth != self.last.1;
+        self.unmoved += usize::from(is_unmoved);
+        self.last = (stamp_us, azimuth);
+        self.stamps[self.len] = since(self.first_stamp, stamp_us);
         self.len += 1;
         self.observed += 1;
     }
@@ -264,8 +285,10 @@ impl Detector {
     fn decide_early(&self) -> Option<Result<Detection, DetectError>> {
         let intervals = self.intervals();
         let [best, next] = self.votes(&intervals);
-        let clear =
-            best.fits >= ENOUGH && self.is_better(&best, &next) && best.fits * 2 > intervals.len;
+        let clear = best.fits >= ENOUGH
+            && self.is_better(&best, &next)
+            && best.fits * 2 > intervals.len
+            && self.unmoved == 0;
         clear.then(|| self.check_layout().and_then(|()| self.detection(best)))
     }
 
@@ -536,6 +559,24 @@ impl Intervals {
             .iter()
             .copied()
             .filter(move |&us| fits(us, period_ns))
+    }
+
+    /// The greatest tick that all of them are multiples of, microseconds; 0 if there are none.
+    fn tick_us(&self) -> u32 {
+        let mut tick_us = 0;
+        for &us in self.us() {
+            let mut rest_us = us;
+            while rest_us > 0 {
+                (tick_us, rest_us) = (rest_us, tick_us % rest_us);
+            }
+        }
+        tick_us
+    }
+
+    fn coarse(&self) -> DetectError {
+        DetectError::Clock {
+            tick_us: self.tick_us(),
+        }
     }
 
     fn median(&self) -> u32 {

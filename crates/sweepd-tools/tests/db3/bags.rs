@@ -58,6 +58,22 @@ fn a_database_gives_its_packets() {
     assert_eq!(files(folder.path()), before);
 }
 
+/// The time at which a message was recorded then is that of its last packet. A packet of this kit has
+/// its byte four times as the sensor's stamp.
+#[test]
+fn stamps_that_are_no_times_are_replaced_by_record_times() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(NAME);
+    let messages = [
+        (0, cdr(&[(0, 1), (0, 2)], false)),
+        (0, cdr(&[(0, 3)], false)),
+    ];
+    database(&path, &[("/left", SCAN)], &messages);
+    let (start_ns, tick_ns) = (1_577_836_800 * S, 0x0101_0101 * 1000);
+    let packets = [(start_ns - tick_ns, 1), (start_ns, 2), (start_ns + S, 3)];
+    assert_eq!(read(open(&path).unwrap()).0, expected(&packets, "/left"));
+}
+
 #[test]
 fn a_database_that_is_cut_gives_what_it_holds_and_says_where_it_ends() {
     let folder = tempfile::tempdir().unwrap();

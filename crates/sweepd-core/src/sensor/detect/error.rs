@@ -55,12 +55,26 @@ pub enum DetectError {
         /// How the blocks are laid out.
         banks: Banks,
     },
+    /// The clock of the sensor stands still, or its ticks are longer than a packet takes.
+    #[error("the stamps of its packets {}, so they are in no order", clock(*.tick_us))]
+    Clock {
+        /// A tick, microseconds; 0 if it stands still.
+        tick_us: u32,
+    },
     /// Blank factory bytes, and too few packets to measure their period.
     #[error("the factory bytes are blank, and {packets} packets are too few to detect the model")]
     TooFewPackets {
         /// Packets that there were.
         packets: usize,
     },
+}
+
+/// What such a clock does.
+fn clock(tick_us: u32) -> String {
+    match tick_us {
+        0 => "stand still".to_owned(),
+        us => format!("go on in steps of {us} us"),
+    }
 }
 
 /// Packet periods of the supported models with these returns and banks.

@@ -461,6 +461,35 @@ fn a_period_of_no_model_is_an_error_after_the_last_packet() {
 }
 
 #[test]
+fn a_clock_that_stands_still_or_ticks_coarsely_is_an_error() {
+    for (tick_us, period_ns) in [
+        (0, VLP16_NS),
+        (1_000, VLP16_NS),
+        (2_000, VLP16_NS),
+        (5_308, VLP16_NS),
+        (1_000, HDL32E_NS),
+        (10_000, VLP16_NS),
+    ] {
+        let exact = stamps(period_ns, &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]);
+        let mut detector = Detector::new(None);
+        let verdicts = exact.iter().enumerate().filter_map(|(number, stamp_us)| {
+            let stamp_us = stamp_us
+                .checked_div(tick_us)
+                .map_or(7, |ticks| ticks * tick_us);
+            let mut packet = packet(stamp_us, (SINGLE, 0x22), false);
+            packet.blocks[0].set_azimuth_cdeg(100 + 240 * number as u16);
+            detector.observe(&packet)
+        });
+        let verdicts: Vec<_> = verdicts.collect();
+        assert_eq!(
+            verdicts,
+            [Err(DetectError::Clock { tick_us })],
+            "{period_ns}"
+        );
+    }
+}
+
+#[test]
 fn streams_too_short_for_a_period_go_by_what_was_said() {
     let strongest = ReturnMode::Strongest;
     for packets in [&[0][..], &[0, 1], &[0, 0, 0, 1]] {

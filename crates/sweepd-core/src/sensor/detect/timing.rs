@@ -37,8 +37,8 @@ pub(super) fn timings(banks: Banks) -> &'static [ModelTiming] {
     }
 }
 
-/// Microseconds from one stamp to another, the short way round the hour.
-pub(super) fn since(from: u32, to: u32) -> i64 {
+/// Microseconds from one stamp of a sensor to another, the short way round the hour.
+pub fn since(from: u32, to: u32) -> i64 {
     let hour = i64::from(HOUR_US);
     match i64::from(to) - i64::from(from) {
         ahead if ahead > hour / 2 => ahead - hour,

@@ -1,0 +1,112 @@
+//! Times that were written to packets, and are none: they stand still, go back, have whole seconds
+//! alone, or lie before 1990, as converters, simulated clocks and machines without a clock write
+//! them. The clock of the sensor tells, and gives the time from one packet to the next.
+
+use sweepd_core::sensor::detect::since;
+use sweepd_core::wire::data::DATA_PACKET_LEN;
+
+const SECOND_NS: i64 = 1_000_000_000;
+/// 1990, nanoseconds since 1970: no spinning sensor is as old.
+pub(super) const FIRST_NS: i64 = 631_152_000 * SECOND_NS;
+/// Sensor time in which a time must go on: longer than the tick of any clock and than machines hold
+/// packets back, and less than a turn.
+pub(super) const JUDGED_AFTER_US: i64 = 40_000;
+/// A longer step from packet to packet is a pause, which says nothing about times.
+const LONGEST_STEP_US: i64 = 20_000;
+/// A time that is so much earlier than the one before was set back.
+const SET_BACK_NS: i64 = SECOND_NS / 2;
+/// How much earlier a packet may be that comes late.
+const LATE_US: i64 = 1_000_000;
+/// With a longer step the clock of the sensor was set, or another recording begins.
+const LONGEST_US: i64 = 60_000_000;
+
+/// The stamp of the sensor in a data packet, microseconds of the hour.
+pub(super) fn sensor_us(payload: &[u8]) -> Option<u32> {
+    let packet: &[u8; DATA_PACKET_LEN] = payload.try_into().ok()?;
+    let &[.., a, b, c, d, _, _] = packet;
+    Some(u32::from_le_bytes([a, b, c, d]))
+}
+
+/// The clock of a sensor: a time, nanoseconds since 1970, and its stamp at that time.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SensorClock {
+    pub(super) time_ns: i64,
+    stamp_us: u32,
+}
+
+impl SensorClock {
+    pub(super) fn new(time_ns: i64, stamp_us: u32) -> Self {
+        Self { time_ns, stamp_us }
+    }
+
+    /// The time of a packet with another stamp, a late one too. Where the clock was set, no time has
+    /// passed.
+    pub(super) fn at(self, stamp_us: u32) -> i64 {
+        let us = since(self.stamp_us, stamp_us);
+        if us.abs() > LONGEST_US {
+            return self.time_ns;
+        }
+        self.time_ns.saturating_add(us * 1000)
+    }
+
+    /// Goes on to a packet, and gives its time.
+    pub(super) fn advance(&mut self, stamp_us: u32) -> i64 {
+        *self = Self::new(self.at(stamp_us), stamp_us);
+        self.time_ns
+    }
+}
+
+/// Whether the times of the packets of a sensor are times.
+#[derive(Debug)]
+pub(super) struct Judge {
+    /// Where the times last went on.
+    pub(super) clock: SensorClock,
+    /// The last packet.
+    last: SensorClock,
+    /// Sensor time since the first packet, microseconds.
+    pub(super) passed_us: i64,
+    /// Sensor time since the times last went on.
+    stuck_us: i64,
+}
+
+impl Judge {
+    /// Begins with a packet.
+    pub(super) fn new(time_ns: i64, stamp_us: u32) -> Self {
+        let clock = SensorClock::new(time_ns, stamp_us);
+        Self {
+            clock,
+            last: clock,
+            passed_us: 0,
+            stuck_us: 0,
+        }
+    }
+
+    /// Takes the next packet, and says whether times are none by now.
+    pub(super) fn add(&mut self, time_ns: i64, stamp_us: u32) -> bool {
+        let step_us = since(self.last.stamp_us, stamp_us);
+        let next = SensorClock::new(time_ns, stamp_us);
+        let before = std::mem::replace(&mut self.last, next);
+        if !(-LATE_US..=LONGEST_US).contains(&step_us) {
+            self.clock = next;
+            self.stuck_us = 0;
+            return false;
+        }
+        // A single late time may be corrupt: of two neighbours the earlier one counts.
+        let steady = if time_ns < before.time_ns {
+            next
+        } else {
+            before
+        };
+        let passed_us = step_us.clamp(0, LONGEST_STEP_US);
+        self.passed_us += passed_us;
+        if steady.time_ns > self.clock.time_ns && steady.time_ns % SECOND_NS != 0 {
+            self.clock = steady;
+            self.stuck_us = 0;
+        } else {
+            self.stuck_us += passed_us;
+        }
+        let goes_back =
+            passed_us == step_us && time_ns < self.clock.time_ns.saturating_sub(SET_BACK_NS);
+        goes_back || self.stuck_us >= JUDGED_AFTER_US
+    }
+}
