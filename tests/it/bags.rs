@@ -378,6 +378,11 @@ fn times_of(stamps: [i64; 9], logged_ns: [i64; 3]) -> [(Vec<i64>, bool); 2] {
     })
 }
 
+/// The same from a bag of either format.
+fn both(times: &[i64], is_remarked: bool) -> [(Vec<i64>, bool); 2] {
+    [(times.to_vec(), is_remarked), (times.to_vec(), is_remarked)]
+}
+
 /// Stamps of a clock that stands still, goes back or was never set: the record time of a message is
 /// that of its last packet. A packet of this kit has its byte four times as the sensor's stamp.
 #[test]
@@ -395,18 +400,18 @@ fn stamps_that_are_no_times_are_replaced_by_record_times() {
         [0, 0, 0, 1, 1, 1, 2, 2, 2].map(|message| whole + 7 + message * tick_ns),
         [9, 8, 7, 6, 5, 4, 3, 2, 1].map(|back| whole + back * S + 1),
     ] {
-        assert_eq!(times_of(stamps, logged_ns), vec![(right.to_vec(), true); 2]);
+        assert_eq!(times_of(stamps, logged_ns), both(&right, true));
         // A converter may have no record times, either: the first stamp is all there is.
         if stamps[0] >= whole {
             let expected = right.map(|ns| ns - start_ns + stamps[0]);
             for logged_ns in [[0; 3], [stamps[0] + 2 * tick_ns; 3]] {
                 let found = times_of(stamps, logged_ns);
-                assert_eq!(found, vec![(expected.to_vec(), true); 2]);
+                assert_eq!(found, both(&expected, true));
             }
         }
     }
     let good = right.map(|ns| ns - S);
-    assert_eq!(times_of(good, logged_ns), vec![(good.to_vec(), false); 2]);
+    assert_eq!(times_of(good, logged_ns), both(&good, false));
 }
 
 #[test]

@@ -68,9 +68,15 @@ fn stamps_that_are_no_times_are_replaced_by_record_times() {
         (0, cdr(&[(0, 1), (0, 2)], false)),
         (0, cdr(&[(0, 3)], false)),
     ];
-    database(&path, &[("/left", SCAN)], &messages);
-    let (start_ns, tick_ns) = (1_577_836_800 * S, 0x0101_0101 * 1000);
-    let packets = [(start_ns - tick_ns, 1), (start_ns, 2), (start_ns + S, 3)];
+    let start_ns = 1_600_000_000 * S;
+    database(&path, &[("/left", SCAN)], &messages)
+        .execute("UPDATE messages SET timestamp = ?1 + timestamp", [start_ns])
+        .unwrap();
+    let packets = [
+        (start_ns - 0x0101_0101 * 1000, 1),
+        (start_ns, 2),
+        (start_ns + 1, 3),
+    ];
     assert_eq!(read(open(&path).unwrap()).0, expected(&packets, "/left"));
 }
 

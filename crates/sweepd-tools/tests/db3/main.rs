@@ -69,9 +69,8 @@ fn database(path: &Path, topics: &[(&str, &str)], messages: &[(usize, Vec<u8>)])
         all.execute("INSERT INTO topics VALUES (?1, ?2, ?3, 'cdr', '')", row)
             .unwrap();
     }
-    // Each is recorded a second after the one before, from the first of 2020 on.
     for (number, (topic, data)) in messages.iter().enumerate() {
-        let row = (*topic as i64 + 1, (1_577_836_800 + number as i64) * S, data);
+        let row = (*topic as i64 + 1, number as i64, data);
         all.execute("INSERT INTO messages VALUES (NULL, ?1, ?2, ?3)", row)
             .unwrap();
     }
