@@ -62,8 +62,8 @@ Example:
 
 #[derive(Debug, clap::Args)]
 struct FromCapture {
-    /// pcap or pcapng, plain or compressed with gzip or zstd, or a ROS bag with VelodyneScan messages
-    /// (.mcap, .db3, .bag, or the folder of a ROS 2 bag); - is standard input
+    /// pcap or pcapng, plain or compressed with gzip, zstd, bzip2 or lz4; a ROS bag with VelodyneScan
+    /// messages (.mcap, .db3, .bag, or the folder of a ROS 2 bag); or bare packets; - is standard input
     #[arg(value_name = "CAPTURE")]
     capture: PathBuf,
     /// The file to write

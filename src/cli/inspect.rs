@@ -39,8 +39,8 @@ Example:
   sweepd inspect pcap_fixtures/street_vlp16_losses.pcap
   sweepd inspect drive.pcap --pitch -10 --height 0.4")]
 pub struct Args {
-    /// pcap or pcapng, plain or compressed with gzip or zstd, or a ROS bag with VelodyneScan messages
-    /// (.mcap, .db3, .bag, or the folder of a ROS 2 bag); - is standard input
+    /// pcap or pcapng, plain or compressed with gzip, zstd, bzip2 or lz4; a ROS bag with VelodyneScan
+    /// messages (.mcap, .db3, .bag, or the folder of a ROS 2 bag); or bare packets; - is standard input
     #[arg(value_name = "CAPTURE")]
     pub capture: PathBuf,
     /// How the sensors are said to be mounted: the floor is held against it.
@@ -164,6 +164,9 @@ fn describe_capture(capture: &Capture, sensors: &DiscoveredSensors) -> String {
         row(&mut text, "records", records);
     } else {
         describe_records(capture, sensors, &mut text);
+    }
+    if let Some(remark) = capture.remark() {
+        row(&mut text, "times", remark);
     }
     if counts.truncated_records > 0 {
         let cut = count_of(counts.truncated_records, "record");

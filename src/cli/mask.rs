@@ -49,8 +49,8 @@ Example:
   sweepd mask standing.pcap -o body.png
   sweepd replay standing.pcap --mask body.png --remove mask --png out")]
 pub struct Args {
-    /// pcap or pcapng, plain or compressed with gzip or zstd, or a ROS bag with VelodyneScan messages
-    /// (.mcap, .db3, .bag, or the folder of a ROS 2 bag); - is standard input
+    /// pcap or pcapng, plain or compressed with gzip, zstd, bzip2 or lz4; a ROS bag with VelodyneScan
+    /// messages (.mcap, .db3, .bag, or the folder of a ROS 2 bag); or bare packets; - is standard input
     #[arg(value_name = "CAPTURE")]
     capture: PathBuf,
     /// The picture to write

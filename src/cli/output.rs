@@ -2,15 +2,15 @@
 //! files.
 
 use std::fs;
-use std::io::{self, BufWriter, Stdout, Write};
+use std::io::{self, BufWriter, IsTerminal, Stdout, Write};
 use std::path::{Path, PathBuf};
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use serde::Serialize;
 
-use super::CliError;
 use super::stream::{Stream, is_stdout};
 use super::tables::SegmentTables;
+use super::{CliError, complain};
 use crate::export::mcap::{McapOutput, SweepMessages};
 use crate::export::{Existing, Exporter, Format, Title, is_sweep_file, trimmed};
 use crate::files::output::{Former, sensor_folder};
@@ -449,18 +449,14 @@ impl Outputs {
             .map_err(CliError::Stdout)
     }
 
-    /// Completes the files that hold all sweeps and renames them. Unfinished files are removed; so is
-    /// all that is empty, where there was no sweep. Says what was written, if anything was.
+    /// Completes the files that hold all sweeps and renames them. Unfinished files are removed; so are
+    /// those that no sweep came for. Says what was written, if anything was.
     ///
     /// # Errors
     /// [`CliError`].
     pub fn finish(&mut self) -> Result<Option<String>, CliError> {
         if self.sweeps == 0 {
             (self.mcap, self.segments, self.raw) = (None, None, None);
-            for dir in self.made.drain(..) {
-                // What somebody has put there since stays.
-                let _ = fs::remove_dir(dir);
-            }
             return Ok(None);
         }
         if let Some(mcap) = self.mcap.take() {
@@ -496,6 +492,22 @@ impl Outputs {
             }
         }
         Ok(exporters)
+    }
+}
+
+impl Drop for Outputs {
+    /// Removes the folders that were made and are empty: there was no sweep, or an error came first.
+    fn drop(&mut self) {
+        for dir in &self.made {
+            let _ = fs::remove_dir(dir);
+        }
+    }
+}
+
+/// Says what was written, as [`Outputs::finish`] gives it, to a person who looks on.
+pub fn tell_written(written: Option<String>) {
+    if let Some(written) = written.filter(|_| io::stderr().is_terminal()) {
+        complain("note", format_args!("written: {written}"));
     }
 }
 

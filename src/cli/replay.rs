@@ -8,14 +8,12 @@ mod summary;
 mod sweeps;
 mod track;
 
-use std::io::{self, IsTerminal};
-
 use self::playback::Playback;
 use self::summary::{SensorReport, SummaryLine, Sums};
 use self::sweeps::{Finisher, Writer};
 use self::track::Setup;
-use super::output::Outputs;
-use super::{CliError, complain, jobs};
+use super::output::{Outputs, tell_written};
+use super::{CliError, jobs};
 use crate::input::{Capture, CaptureError};
 use crate::streams::Streams;
 
@@ -125,8 +123,8 @@ impl<'a> Replay<'a> {
         if !args.is_piped() {
             summary::print(other_traffic, &reports, written.as_deref(), timing)
                 .map_err(CliError::Stdout)?;
-        } else if let Some(written) = written.filter(|_| io::stderr().is_terminal()) {
-            complain("note", format_args!("written: {written}"));
+        } else {
+            tell_written(written);
         }
         let is_read = messages::show_damage(capture, read);
         let is_complete = messages::show_missing(args, &sections, capture, &sensors, &reports);

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use self::latency::Latencies;
 use self::table::Table;
-use super::output::{LatencyUs, OutputOptions, Outputs, SweepId};
+use super::output::{LatencyUs, OutputOptions, Outputs, SweepId, tell_written};
 use super::publish::RootOptions;
 use super::signals::end_flag;
 use super::{CliError, complain};
@@ -147,7 +147,7 @@ impl Watch<'_> {
         if let Some(table) = &mut self.table {
             table.finish().map_err(CliError::Stdout)?;
         }
-        let _ = self.outputs.finish()?;
+        tell_written(self.outputs.finish()?);
         ended?;
         if self.args.latency {
             self.latencies

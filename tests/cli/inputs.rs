@@ -147,3 +147,74 @@ fn other_traffic_is_counted_and_passed_over() {
         format!("{alone}\npassed over: 4 records of other traffic\n")
     );
 }
+
+/// What people have of a drive, without times or without records, gives the same sweeps, 100 ms
+/// apart, and one warning.
+#[test]
+fn bare_packets_and_times_that_are_none_give_the_same_sweeps() {
+    let folder = Folder::new("times");
+    let datagrams = made::vlp16();
+    let turns = |stdout: &str| -> Vec<(String, i64)> {
+        let lines = sweeps(stdout).into_iter();
+        let lines = lines.filter(|line| line["partial"] == false);
+        lines
+            .map(|line| {
+                (
+                    line["returns"].to_string(),
+                    line["time_ns"].as_i64().unwrap(),
+                )
+            })
+            .collect()
+    };
+    let path = folder.write("right.pcap", made::pcap(&datagrams));
+    let expected = turns(&replay(&path, &["--json"]).done());
+    assert_eq!(expected.len(), 3);
+    let mut frozen = datagrams.clone();
+    for sent in &mut frozen {
+        sent.arrival_ns = datagrams[0].arrival_ns;
+    }
+    let mut bare = Vec::new();
+    for sent in datagrams.iter().filter(|sent| sent.is_data()) {
+        bare.extend(&sent.payload);
+        // Positions between them are no damage.
+        bare.extend([0; 512]);
+    }
+    for (name, bytes, says) in [
+        (
+            "frozen.pcap",
+            made::pcap(&frozen),
+            "frozen.pcap: times of its records stand still",
+        ),
+        ("bare.raw", bare, "bare.raw: bare packets have no times"),
+    ] {
+        let ran = replay(&folder.write(name, &bytes), &["--json"]);
+        let warnings: Vec<&str> = ran.stderr.lines().collect();
+        assert!(
+            warnings.len() == 1 && warnings[0].contains(says),
+            "{warnings:?}"
+        );
+        let found = turns(&ran.stdout);
+        assert_eq!((ran.code, found.len()), (0, 3));
+        for ((one, other), number) in found.iter().zip(&expected).zip(0..) {
+            assert_eq!(one.0, other.0, "{name}");
+            let off_ns = one.1 - found[0].1 - number * 100_000_000;
+            assert!(off_ns.abs() < 1_000_000, "{name}: {off_ns}");
+        }
+    }
+}
+
+/// Simulators and gateways: without stamps there is no order, and this is said once.
+#[test]
+fn a_sensor_clock_that_stands_still_is_an_error() {
+    let folder = Folder::new("clock");
+    let mut datagrams = made::vlp16();
+    for sent in datagrams.iter_mut().filter(|sent| sent.is_data()) {
+        sent.payload[1200..1204].fill(0);
+    }
+    let ran = replay(&folder.write("zero.pcap", made::pcap(&datagrams)), &[]);
+    ran.says(&[
+        "192.168.1.201:2368: the stamps of its packets stand still",
+        "gateway",
+    ]);
+    assert!(ran.stdout.contains("0 packets lost"), "{}", ran.stdout);
+}

@@ -472,7 +472,7 @@ fn text_that_is_no_calibration_is_refused_in_one_line() {
         "a.yaml:2: expected string scalar: \"vert_correction: [1, 2]}\""
     );
     let twice = refused(ros_yaml::parse(
-        &YAML.replacen("laser_id: 1", "laser_id: 1, laser_id: 1", 1),
+        &YAML.replacen("laser_id: 1", "laser_id: 1, laser_id: 2", 1),
         "a.yaml",
     ));
     assert!(

@@ -24,8 +24,8 @@ Examples:
   sweepd replay drive.pcap --to 127.0.0.1:2368 --loop
   sweepd replay drive.pcap --publish roof --loop")]
 pub struct Args {
-    /// pcap or pcapng, plain or compressed with gzip or zstd, or a ROS bag with VelodyneScan messages
-    /// (.mcap, .db3, .bag, or the folder of a ROS 2 bag); - is standard input
+    /// pcap or pcapng, plain or compressed with gzip, zstd, bzip2 or lz4; a ROS bag with VelodyneScan
+    /// messages (.mcap, .db3, .bag, or the folder of a ROS 2 bag); or bare packets; - is standard input
     #[arg(value_name = "CAPTURE")]
     pub capture: PathBuf,
     #[command(flatten)]

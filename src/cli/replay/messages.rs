@@ -45,17 +45,18 @@ pub(super) fn show_missing(
     for message in &missing {
         complain("error", format_args!("{}: {message}", capture.name()));
     }
-    let less = reports.iter().filter(|report| report.is_less_than_a_turn());
-    let less: Vec<&str> = less.map(|report| report.sensor).collect();
-    if less.len() < reports.len() {
-        for sensor in less {
-            complain(
-                "warning",
-                format_args!("{sensor}: {}", less_than_a_turn(args)),
-            );
+    if wants_sweeps(args) && !reports.iter().all(SensorReport::lacks_a_turn) {
+        for report in reports.iter().filter(|report| report.lacks_a_turn()) {
+            let less = less_than_a_turn(args);
+            complain("warning", format_args!("{}: {less}", report.sensor));
         }
     }
     missing.is_empty()
+}
+
+/// Whether sweeps are wanted, rather than packets.
+fn wants_sweeps(args: &Args) -> bool {
+    args.play.destination().is_none()
 }
 
 fn less_than_a_turn(args: &Args) -> String {
@@ -91,7 +92,7 @@ fn missing(
             "no data packets{part}; what was read of it spans {seconds:.3} s"
         ));
     }
-    if !reports.is_empty() && reports.iter().all(SensorReport::is_less_than_a_turn) {
+    if wants_sweeps(args) && !reports.is_empty() && reports.iter().all(SensorReport::lacks_a_turn) {
         missing.push(less_than_a_turn(args));
     }
     let unshared: Vec<String> = args

@@ -232,7 +232,7 @@ impl<'a> SummaryLine<'a> {
 
 impl<'a> SensorReport<'a> {
     /// Whether all of its sweeps are partial, and left out.
-    pub fn is_less_than_a_turn(&self) -> bool {
+    pub fn lacks_a_turn(&self) -> bool {
         self.sums.whole == 0 && self.sums.partial > 0 && !self.partial_emitted
     }
 

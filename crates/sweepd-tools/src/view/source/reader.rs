@@ -123,6 +123,14 @@ impl Reader {
         self.sections.missing(self.streams.sensors.senders())
     }
 
+    /// What there is to know of the times of a capture.
+    pub(super) fn remark(&self) -> Option<&'static str> {
+        match &self.datagrams {
+            Datagrams::Capture(capture) => capture.remark(),
+            Datagrams::Simulation(..) => None,
+        }
+    }
+
     /// Why it ended before its end, or why sweeps of a sensor are missing.
     pub(super) fn trouble(&self) -> Option<String> {
         let tracks = &self.streams.all;
