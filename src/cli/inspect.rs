@@ -166,7 +166,7 @@ fn describe_capture(capture: &Capture, sensors: &DiscoveredSensors) -> String {
         describe_records(capture, sensors, &mut text);
     }
     if let Some(remark) = capture.remark() {
-        row(&mut text, "times", remark);
+        row(&mut text, "note", remark);
     }
     if counts.truncated_records > 0 {
         let cut = count_of(counts.truncated_records, "record");

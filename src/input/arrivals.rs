@@ -9,8 +9,8 @@ use super::times::{FIRST_NS, JUDGED_AFTER_US, Judge, sensor_us};
 use super::{CaptureCounts, CaptureError, Placed};
 use sweepd_core::wire::Datagram;
 
-/// Most datagrams that are held.
-const MAX_HELD: usize = 1024;
+/// Most memory of datagrams that are held: a thousand data packets and more.
+const MAX_HELD: usize = 2 << 20;
 
 /// A datagram that was read ahead, with the counts up to it.
 pub(super) struct Held {
@@ -67,6 +67,7 @@ pub(super) enum RecordTimes {
 pub(super) struct Arrivals {
     pub(super) times: RecordTimes,
     held: VecDeque<Held>,
+    held_bytes: usize,
     /// The one that was given last, if it was held.
     current: Option<Held>,
     /// How the reading ended, if it did while datagrams were held.
@@ -82,6 +83,7 @@ impl Arrivals {
         Self {
             times: RecordTimes::Open,
             held: VecDeque::new(),
+            held_bytes: 0,
             current: None,
             ended: None,
             senders: Vec::new(),
@@ -98,14 +100,14 @@ impl Arrivals {
     /// Holds a datagram.
     pub(super) fn hold(&mut self, placed: &Placed<'_>, counts: CaptureCounts) {
         self.held.push_back(Held::new(placed, counts));
-        let Some((judge, is_none)) = self.judge(&placed.datagram) else {
-            if self.held.len() >= MAX_HELD {
-                self.decide(false);
+        self.held_bytes += size_of::<Held>() + placed.datagram.payload.len();
+        let is_full = self.held_bytes >= MAX_HELD;
+        match self.judge(&placed.datagram) {
+            Some((judge, is_none)) if is_full || judge.passed_us >= JUDGED_AFTER_US => {
+                self.decide(is_none);
             }
-            return;
-        };
-        if judge.passed_us >= JUDGED_AFTER_US || self.held.len() >= MAX_HELD {
-            self.decide(is_none);
+            None if is_full => self.decide(false),
+            _ => {}
         }
     }
 
@@ -141,7 +143,7 @@ impl Arrivals {
         let times_ns = self.held.iter().map(|held| held.arrival_ns);
         let is_old = |ns: Option<i64>| ns.is_some_and(|ns| ns < FIRST_NS);
         let begins_old = is_old(times_ns.clone().next());
-        let ends_old = is_old(times_ns.clone().last());
+        let ends_old = is_old(times_ns.clone().next_back());
         let first_ns = times_ns.clone().find(|&ns| ns >= FIRST_NS);
         if is_none || begins_old && !ends_old {
             self.begin(first_ns.or(times_ns.clone().next()).unwrap_or(0));

@@ -432,6 +432,9 @@ fn bare_packets_have_the_clock_of_the_sensor() {
     );
 }
 
+/// The record time of a packet, microseconds, by its number.
+type RecordUs<'a> = &'a dyn Fn(u64) -> u64;
+
 /// Data packets with these stamps of the sensor and record times, microseconds: the times that are
 /// read, and what is said of them.
 fn times_of(packets: impl Iterator<Item = (u64, u64)>) -> (Vec<u64>, Option<&'static str>) {
@@ -457,7 +460,7 @@ fn record_times_that_are_none_give_way_to_the_clock_of_the_sensor() {
     const START_US: u64 = 1_700_000_000_400_000;
     let right = |number: u64| START_US + number * 1000;
     let whole = |us: u64| us / 1_000_000 * 1_000_000;
-    let cases: [(&str, u64, &dyn Fn(u64) -> u64); 8] = [
+    let cases: [(&str, u64, RecordUs<'_>); 8] = [
         ("never set", 0, &|_| 0),
         ("stand", START_US, &|_| START_US),
         ("whole seconds", whole(START_US), &|n| whole(right(n))),
@@ -489,8 +492,7 @@ fn record_times_that_are_none_give_way_to_the_clock_of_the_sensor() {
 fn record_times_that_go_on_stay() {
     const START_US: u64 = 1_700_000_000_400_000;
     let right = |number: u64| START_US + number * 1000;
-    let hour = 3_600_000_000;
-    let cases: [(&str, &dyn Fn(u64) -> u64); 6] = [
+    let cases: [(&str, RecordUs<'_>); 6] = [
         ("burst", &|n| right(n.max(30))),
         ("ticks of Windows", &|n| right(n) / 15_600 * 15_600),
         ("late ones", &|n| right(n ^ 1)),
@@ -499,7 +501,7 @@ fn record_times_that_go_on_stay() {
         }),
         ("old", &|n| right(n) - START_US + 5),
         // Two recordings are joined in the wrong order.
-        ("joined", &|n| right(n) + u64::from(n < 450) * hour / 2),
+        ("joined", &|n| right(n) + u64::from(n < 450) * 700_000),
     ];
     for (name, record_us) in cases {
         let sensor_us = |n| match name {

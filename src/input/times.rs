@@ -16,7 +16,7 @@ const LONGEST_STEP_US: i64 = 20_000;
 /// A time that is so much earlier than the one before was set back.
 const SET_BACK_NS: i64 = SECOND_NS / 2;
 /// How much earlier a packet may be that comes late.
-const LATE_US: i64 = 1_000_000;
+const LATE_US: i64 = 100_000;
 /// With a longer step the clock of the sensor was set, or another recording begins.
 const LONGEST_US: i64 = 60_000_000;
 

@@ -10,7 +10,7 @@ use sweepd::input::{Capture, PcapWriter};
 use sweepd::sensor::{Model, ModelExt, ros_yaml};
 use sweepd::sweep::layout::Column;
 use sweepd::sweep::{Shape, SweepMut};
-use sweepd::wire::data::DATA_PACKET_LEN;
+use sweepd::wire::data::{DATA_PACKET_LEN, DataPacket};
 use sweepd::wire::position::POSITION_PACKET_LEN;
 use sweepd_lab::simulate::unit::unit;
 
@@ -157,14 +157,14 @@ fn status_streams() -> Inputs {
 }
 
 /// A capture of these payloads, sent by one sensor.
-fn pcap(payloads: &[Vec<u8>]) -> Vec<u8> {
+fn pcap(payloads: &[Vec<u8>], step_ns: i64) -> Vec<u8> {
     let mut writer = PcapWriter::new(Vec::new()).expect("memory");
     let (source, destination) = (
         "192.168.1.201:2368".parse().unwrap(),
         "255.255.255.255:2368".parse().unwrap(),
     );
     for (payload, index) in payloads.iter().zip(0..) {
-        let arrival_ns = 1_700_000_000_000_000_000 + index * 1_327_000;
+        let arrival_ns = 1_700_000_000_000_000_000 + index * step_ns;
         writer
             .write(&Addressed {
                 arrival_ns,
@@ -194,7 +194,7 @@ fn capture_files(data: Option<&Path>) -> Inputs {
         vec![2; POSITION_PACKET_LEN],
         Vec::new(),
     ];
-    let small = pcap(&payloads);
+    let small = pcap(&payloads, 1_327_000);
     let ng = pcapng(&small[40..40 + 42 + 40]);
     let mut seeds = vec![
         gzip(&small),
@@ -202,8 +202,15 @@ fn capture_files(data: Option<&Path>) -> Inputs {
         gzip(&ng),
         zstd(&ng),
         gzip(&vec![0; 300 << 10]),
+        bags::compress("bz2", &small),
+        bags::compress("lz4", &ng),
+        // Joined with `cat`.
+        [&small[..], &ng, &small].concat(),
         small,
         ng,
+        // Record times that stand still, and packets without records.
+        pcap(&data_packets(), 0),
+        data_packets().concat(),
     ];
     // Whole records, and a cut one at the end.
     seeds.extend(
@@ -215,6 +222,14 @@ fn capture_files(data: Option<&Path>) -> Inputs {
             }),
     );
     seeds
+}
+
+/// Data packets 20 ms apart, and a position packet.
+fn data_packets() -> Inputs {
+    let packet = |number: u32| DataPacket::new(number * 20_000, 0x37, 0x22).emit().to_vec();
+    let mut packets: Inputs = (0..4).map(packet).collect();
+    packets.insert(2, vec![0; POSITION_PACKET_LEN]);
+    packets
 }
 
 /// MCAP files and ROS 1 bags, plain and in compressed chunks, with two topics.
@@ -240,6 +255,15 @@ fn bag_files() -> Inputs {
         .map(|compression| mcap::file(&[mcap::chunk(compression, &records)]))
         .to_vec();
     seeds.push(mcap::file(&[records]));
+    // Stamps that stand still.
+    let names = [
+        mcap::schema(1, scan::SCAN),
+        mcap::channel(1, 1, "/left", ""),
+    ];
+    let scan_ns = 1_700_000_000_000_000_000;
+    let still = scan::cdr(&[(0, 1), (0, 2), (0, 3)], false);
+    let messages = [scan_ns, scan_ns, 0].map(|ns| mcap::message_at(1, ns, &still));
+    seeds.push(mcap::file(&[names.concat(), messages.concat()]));
     let records = [
         ros1::connection(1, "/left", bags::ROS1_SCAN),
         ros1::connection(2, "/chatter", "std_msgs/String"),
@@ -332,7 +356,7 @@ fn pcapng(frame: &[u8]) -> Vec<u8> {
 
 /// Frames over every link, whole and in fragments.
 fn frames() -> Inputs {
-    let whole = pcap(&[vec![7; 48]]);
+    let whole = pcap(&[vec![7; 48]], 0);
     let ethernet = &whole[40..];
     let ip = &ethernet[14..];
     let mut fragments = [ip[..20 + 24].to_vec(), [&ip[..20], &ip[20 + 24..]].concat()];
