@@ -4,6 +4,7 @@
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod calib;
+pub mod capture;
 pub mod completions;
 pub mod config;
 pub mod doctor;

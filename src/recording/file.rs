@@ -12,6 +12,7 @@ use crate::files::parts::{self, Recovery};
 use crate::files::sequence::Contents;
 use crate::input::CaptureReader;
 use crate::input::write::{Addressed, FILE_HEADER_LEN, PcapWriter, record_len};
+use sweepd_core::wire::Datagram;
 
 /// The ending of a compressed capture.
 const GZIP: &str = ".pcap.gz";
@@ -55,6 +56,14 @@ impl CaptureFile {
         let sink = Sink::Stdout(BufWriter::new(io::stdout()));
         let writer = PcapWriter::new(sink)?;
         Ok(Self { writer })
+    }
+
+    /// Writes a datagram whose destination is known by its port alone.
+    ///
+    /// # Errors
+    /// What the disk says.
+    pub fn write_datagram(&mut self, datagram: &Datagram<'_>) -> io::Result<()> {
+        self.writer.write_datagram(datagram)
     }
 }
 

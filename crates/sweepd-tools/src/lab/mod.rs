@@ -3,7 +3,6 @@
 pub mod score;
 pub mod segment;
 pub mod simulate;
-mod sink;
 
 use std::path::Path;
 

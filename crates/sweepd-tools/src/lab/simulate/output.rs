@@ -3,8 +3,8 @@
 use std::time::Instant;
 
 use super::args::Target;
-use crate::lab::sink::CaptureFile;
 use sweepd::cli::CliError;
+use sweepd::cli::capture::CaptureOutput;
 use sweepd::cli::send::Sender;
 use sweepd::export::Existing;
 use sweepd::input::write::Addressed;
@@ -14,7 +14,7 @@ use sweepd_lab::simulate::SimulatedDatagram;
 
 /// Where the datagrams go, open.
 pub enum Output {
-    File(CaptureFile),
+    File(CaptureOutput),
     Network {
         sender: Sender,
         pacer: Pacer,
@@ -25,7 +25,7 @@ pub enum Output {
 impl Output {
     pub fn open(target: &Target, existing: Existing) -> Result<Self, CliError> {
         match (&target.pcap, target.to) {
-            (Some(path), _) => Ok(Self::File(CaptureFile::create(path, existing)?)),
+            (Some(path), _) => Ok(Self::File(CaptureOutput::create(path, existing)?)),
             (None, Some(to)) => Ok(Self::Network {
                 sender: Sender::new(to),
                 pacer: Pacer::new(Speed::REALTIME),
