@@ -20,6 +20,7 @@ pub mod play;
 pub mod publish;
 pub mod record;
 pub mod replay;
+pub mod ros2;
 pub mod run;
 pub mod sections;
 pub mod send;

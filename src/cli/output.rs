@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use serde::Serialize;
 
+use super::ros2::{self, MessageOptions};
 use super::stream::{Stream, is_stdout};
 use super::tables::SegmentTables;
 use super::{CliError, complain};
@@ -37,9 +38,12 @@ pub struct OutputOptions {
     #[arg(long, value_name = "DIR")]
     pub png: Option<PathBuf>,
     /// All sweeps as messages of ROS 2, for Foxglove and ros2 bag: points, boxes of the segments, and
-    /// where the sensor sits: FILE.mcap
-    #[arg(long, value_name = "FILE")]
+    /// where the sensor sits, if its mount is given: FILE.mcap
+    #[arg(long, value_name = "FILE", group = ros2::OUTPUTS)]
     pub mcap: Option<PathBuf>,
+    /// The same as a bag of rosbag2, from Foxy on: DIR/DIR_0.mcap and DIR/metadata.yaml
+    #[arg(long, value_name = "DIR", group = ros2::OUTPUTS)]
+    pub bag: Option<PathBuf>,
     /// A line a segment of all sweeps: FILE.jsonl or FILE.csv; - is standard output, as JSON
     #[arg(long, value_name = "FILE")]
     pub segments: Option<PathBuf>,
@@ -55,12 +59,20 @@ pub struct OutputOptions {
     pub no_timing: bool,
     #[command(flatten)]
     force: ForceOptions,
+    /// The form of messages.
+    #[command(flatten)]
+    pub messages: MessageOptions,
 }
 
 impl OutputOptions {
     /// Whether standard output is for programs, without tables for people.
     pub fn is_piped(&self) -> bool {
         self.piped().next().is_some()
+    }
+
+    /// What becomes of files that exist.
+    pub fn existing(&self) -> Existing {
+        self.force.existing()
     }
 
     /// What is to be said of a sensor where a frame by its mount was asked for, and none was given.
@@ -240,6 +252,7 @@ pub struct Outputs {
     existing: Existing,
     former: Vec<Former>,
     mcap: Option<McapOutput>,
+    messages: MessageOptions,
     segments: Option<SegmentTables>,
     raw: Option<Stream>,
     frame: Frame,
@@ -265,7 +278,7 @@ pub struct SweepId {
 pub struct Encoder {
     formats: Vec<Format>,
     frame: Frame,
-    has_messages: bool,
+    messages: Option<MessageOptions>,
     is_raw: bool,
     timing: bool,
 }
@@ -291,7 +304,10 @@ impl Encoder {
             files: formats
                 .map(|format| format.encode(sweep, self.frame, &title))
                 .collect(),
-            messages: self.has_messages.then(|| SweepMessages::of(&sweep)),
+            messages: self
+                .messages
+                .as_ref()
+                .map(|options| SweepMessages::of(&sweep, &options.form(id.sensor))),
             raw: match self.is_raw {
                 true => trimmed(&sweep, self.timing),
                 false => None,
@@ -308,6 +324,7 @@ impl Outputs {
     /// [`CliError`]: what cannot be written, or is there and must not be replaced.
     pub fn new(options: &OutputOptions) -> Result<Self, CliError> {
         options.check_piped()?;
+        options.messages.check()?;
         let mut files = Vec::new();
         for (dir, format) in [
             (&options.csv, Format::Csv),
@@ -323,9 +340,10 @@ impl Outputs {
             Some(path) => Some(SegmentTables::create(path, frame, existing)?),
             None => None,
         };
-        let mcap = match &options.mcap {
-            Some(path) => Some(McapOutput::create(path, existing)?),
-            None => None,
+        let mcap = match (&options.mcap, &options.bag) {
+            (Some(path), _) => Some(McapOutput::create(path, existing)?),
+            (None, Some(folder)) => Some(McapOutput::create_bag(folder, existing)?),
+            (None, None) => None,
         };
         let raw = match &options.raw {
             Some(path) => Some(Stream::create(path, existing)?),
@@ -337,6 +355,7 @@ impl Outputs {
             existing,
             former: Vec::new(),
             mcap,
+            messages: options.messages.clone(),
             segments,
             raw,
             frame,
@@ -376,7 +395,7 @@ impl Outputs {
         Encoder {
             formats: self.files.iter().map(|(_, format)| *format).collect(),
             frame: self.frame,
-            has_messages: self.mcap.is_some(),
+            messages: self.mcap.as_ref().map(|_| self.messages.clone()),
             is_raw: self.raw.is_some(),
             timing: self.timing,
         }

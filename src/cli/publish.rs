@@ -58,14 +58,7 @@ impl PublishOptions {
     /// # Errors
     /// [`CliError::Usage`].
     pub fn check(&self) -> Result<(), CliError> {
-        for (index, name) in self.publish.iter().enumerate() {
-            if self.publish[..index].contains(name) {
-                return Err(CliError::Usage(format!(
-                    "--publish {name} is given twice; give each sensor a name of its own"
-                )));
-            }
-        }
-        Ok(())
+        refuse_twice("--publish", &self.publish)
     }
 
     /// A note about a new sensor: the name under which it is published, or, only for the first such
@@ -104,7 +97,23 @@ impl PublishOptions {
     }
 }
 
-fn sensor_name(text: &str) -> Result<String, String> {
+/// Refuses a name that an option gives to two sensors.
+///
+/// # Errors
+/// [`CliError::Usage`].
+pub(super) fn refuse_twice(option: &str, names: &[String]) -> Result<(), CliError> {
+    for (index, name) in names.iter().enumerate() {
+        if names[..index].contains(name) {
+            return Err(CliError::Usage(format!(
+                "{option} {name} is given twice; give each sensor a name of its own"
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// A name as the configuration has it.
+pub(super) fn sensor_name(text: &str) -> Result<String, String> {
     if is_sensor_name(text) {
         Ok(text.to_owned())
     } else {

@@ -33,7 +33,7 @@ def read_rosbags(path):
         counts = {one.topic: one.msgcount for one in reader.connections}
         durability = {one.topic: one.ext.offered_qos_profiles[0].durability.name for one in reader.connections}
         read = [(one.topic, time, bytes(raw), reader.deserialize(raw, one.msgtype)) for one, time, raw in reader.messages()]
-    assert all(durability[topic] == ("TRANSIENT_LOCAL" if topic == "/tf_static" else "VOLATILE") for topic in counts)
+    assert set(durability.values()) == {"VOLATILE"}
     return counts, read
 
 
@@ -110,11 +110,8 @@ def main():
             check_points(cloud, lines, rows)
             check_boxes(markers.markers, own, cloud)
         points += len(lines)
-    (transforms,) = [one[3] for one in messages if one[0] == "/tf_static"]
-    (transform,) = transforms.transforms
-    frame = clouds[0][0].header.frame_id
-    assert (transform.header.frame_id, transform.child_frame_id) == ("base_link", frame)
-    assert transform.transform.rotation.w == 1.0
+    # Nobody has said where the sensor sits.
+    assert all(one[0] != "/tf_static" for one in messages)
     print(f"{len(files)} sweeps, {points} points, {len(segments)} boxes")
 
 

@@ -93,3 +93,33 @@ fn files_of_real_sensors_hold_what_the_tables_say() {
         compare(name, &data_dir().join("pcap").join(name), rows);
     }
 }
+
+/// A bag of rosbag2, in the words of the bridge.
+#[test]
+#[cfg_attr(without_rosbags, ignore = "no SWEEPD_ROS_PYTHON")]
+fn a_bag_is_what_the_file_is_with_its_metadata() {
+    let folder = folder("bag");
+    let path = |name: &str| folder.join(name).into_os_string();
+    let (bag, file) = (path("deep/drive"), path("drive.mcap"));
+    let form = [
+        "--name=front-left",
+        "--frame-id=lidar_top",
+        "--layout=autoware",
+        "--organized",
+        "--pitch=-10",
+    ];
+    for output in [["--mcap".as_ref(), &*file], ["--bag".as_ref(), &*bag]] {
+        let mut command = sweepd(&["replay", "pcap_fixtures/street_vlp16.pcap.gz"]);
+        let output = command.args(form).args(output).output().unwrap();
+        assert!(
+            output.status.success(),
+            "{}",
+            String::from_utf8_lossy(&output.stderr)
+        );
+    }
+    let said = python(
+        "bag.py",
+        &[&bag, &file, "lidar_top".as_ref(), "16".as_ref()],
+    );
+    assert!(said.contains("/sweepd/front_left/points"), "{said}");
+}

@@ -6,6 +6,7 @@ use std::time::Instant;
 use crate::admission::SensorFilter;
 use crate::cli::options::{Listening, within};
 use crate::cli::output::ForceOptions;
+use crate::cli::ros2::{MessageOptions, OUTPUTS};
 use crate::files::sequence::Rotation;
 
 /// Options of `sweepd record`.
@@ -34,7 +35,7 @@ pub struct Args {
     pub(super) output: Option<PathBuf>,
     /// File to write sweeps to instead of packets: NAME.mcap, for Foxglove and ros2 bag; it gets those
     /// that the daemon shares of the sensor of --from, and must run as the daemon's user
-    #[arg(long, value_name = "FILE", requires = "from", conflicts_with_all = ["output", "sensor"])]
+    #[arg(long, value_name = "FILE", group = OUTPUTS, requires = "from", conflicts_with_all = ["output", "sensor"])]
     pub(super) mcap: Option<PathBuf>,
     #[command(flatten)]
     pub(super) force: ForceOptions,
@@ -73,6 +74,8 @@ pub struct Args {
         conflicts_with = "force"
     )]
     pub(super) rotate_seconds: Option<f64>,
+    #[command(flatten)]
+    pub(super) messages: MessageOptions,
 }
 
 impl Args {

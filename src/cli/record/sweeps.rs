@@ -101,6 +101,7 @@ impl Reception {
         bytes: &AtomicU64,
     ) -> Result<(), CliError> {
         let line = live_line();
+        let form = args.messages.form(0);
         let (mut last, mut is_noted) = (Instant::now(), false);
         let mut is_open = true;
         while is_open && !over.load(Ordering::Relaxed) && !args.is_due(begun) {
@@ -109,7 +110,7 @@ impl Reception {
                 let view = sweep.view();
                 let view = view.map_err(|error| CliError::Usage(error.to_string()))?;
                 self.counts.missed = self.client.missed();
-                is_open = self.send(SweepMessages::of(&view));
+                is_open = self.send(SweepMessages::of(&view, &form));
             } else if last.elapsed() > SILENCE && !is_noted {
                 let why = match self.client.is_published() {
                     true => "no sweep comes: does the sensor send?",
@@ -142,20 +143,28 @@ impl Reception {
     }
 }
 
-/// Writes what comes until the sender is gone.
+/// Writes what comes until the sender is gone, and ends the last file.
 fn write(
     mut files: McapFiles,
     receiver: Receiver<SweepMessages>,
     bytes: &AtomicU64,
 ) -> Result<Written, WriteError> {
+    let ended = write_all(&mut files, receiver, bytes);
+    let (written, ended) = files.finish(ended);
+    ended.map(|()| written)
+}
+
+/// The receiver is dropped where the disk fails: that ends the reception.
+fn write_all(
+    files: &mut McapFiles,
+    receiver: Receiver<SweepMessages>,
+    bytes: &AtomicU64,
+) -> Result<(), WriteError> {
     loop {
         match receiver.recv_timeout(LOOK_EVERY) {
             Ok(messages) => files.write(&messages)?,
             Err(RecvTimeoutError::Timeout) => {}
-            Err(RecvTimeoutError::Disconnected) => {
-                let (written, ended) = files.finish(Ok(()));
-                return ended.map(|()| written);
-            }
+            Err(RecvTimeoutError::Disconnected) => return Ok(()),
         }
         files.sync_now_and_then()?;
         bytes.store(files.written().bytes, Ordering::Relaxed);

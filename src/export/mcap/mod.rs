@@ -2,10 +2,11 @@
 //! their like.
 //!
 //! A sensor has the topics `/sweepd/NAME/points` and `/sweepd/NAME/markers`, and a transform in
-//! `/tf_static`. A file holds whole chunks one after another, written in the order of the file, and
+//! `/tf_static`, if its mount was given. A file holds whole chunks one after another, written in the order of the file, and
 //! an index at its end. One without its end is still whole up to its last chunk: mended, it has an
 //! index, and a reader that reads from the beginning does without.
 
+mod bag;
 #[cfg(test)]
 pub(crate) mod tests;
 
@@ -18,11 +19,12 @@ use mcap::records::MessageHeader as RecordHeader;
 use mcap::write::NoSeek;
 use mcap::{Compression, McapError, WriteOptions};
 
+use self::bag::{BagFolder, Contents, TopicContents};
 use crate::VERSION;
 use crate::files::WriteError;
 use crate::files::output::{Existing, NewFile};
 use crate::files::sequence::ending_of;
-use sweepd_core::sweep::SweepRef;
+use sweepd_core::sweep::{Pose, SweepRef};
 use sweepd_messages::message_type::{self, MessageType};
 use sweepd_messages::transforms::{self, Transform};
 use sweepd_messages::{Cloud, MessageHeader, Stamp, markers, names};
@@ -89,26 +91,58 @@ const MARKERS: Topic = Topic {
 pub(crate) const TOPICS: [Topic; 3] = [TRANSFORMS, POINTS, MARKERS];
 
 impl Topic {
-    /// Adds its channel, unless there is one; gives the channel's number.
+    /// Its name.
+    fn name(&self, sensor: &str) -> String {
+        self.name.replace("{}", sensor)
+    }
+
+    /// Adds its channel for the sensor of this name and number in the file, unless there is one; gives
+    /// the channel's number.
     pub(crate) fn add<W: Write>(
         &self,
         writer: &mut mcap::Writer<NoSeek<W>>,
         sensor: &str,
+        number: usize,
     ) -> Result<u16, McapError> {
         let MessageType {
             name,
             hash,
             definition,
         } = self.message_type;
-        let schema = writer.add_schema(name, "ros2msg", definition.as_bytes())?;
+        let schema = writer.add_schema_with_id(self.id, name, "ros2msg", definition.as_bytes())?;
         let metadata = [
             ("offered_qos_profiles", self.offered),
             ("topic_type_hash", hash),
         ];
         let metadata = metadata.map(|(key, value)| (key.to_owned(), value.to_owned()));
-        let name = self.name.replace("{}", sensor);
-        writer.add_channel(schema, &name, "cdr", &metadata.into())
+        // Each sensor has its own topics but the first one.
+        let of_others = (TOPICS.len() - 1) * number;
+        let id = u16::try_from(usize::from(self.id) + of_others);
+        let id = id.map_err(|_| McapError::TooManyChannels)?;
+        writer.add_channel_with_id(id, schema, &self.name(sensor), "cdr", &metadata.into())
     }
+}
+
+impl Topic {
+    fn contents(&self, sensor: &str, channel: &Channel) -> TopicContents {
+        TopicContents {
+            name: self.name(sensor),
+            message_type: self.message_type.name,
+            offered: self.offered,
+            messages: channel.messages,
+        }
+    }
+}
+
+/// How the sweeps of a sensor become messages.
+#[derive(Clone, Debug, Default)]
+pub struct MessageForm {
+    /// Name of the sensor in its topics, and of its frame; else that of its sweeps.
+    pub name: Option<String>,
+    /// Frame of the messages, if it has another name.
+    pub frame_id: Option<String>,
+    /// The clouds.
+    pub cloud: Cloud,
 }
 
 /// The messages of one sweep.
@@ -116,27 +150,36 @@ pub struct SweepMessages {
     /// Name of the sensor in its topics.
     sensor: String,
     time_ns: u64,
-    mount: Transform,
+    /// Where the sensor sits, if that was given.
+    mount: Option<Transform>,
     points: Vec<u8>,
     markers: Vec<u8>,
 }
 
 impl SweepMessages {
     /// Makes them. A sensor without a name has that of its address.
-    pub fn of(sweep: &SweepRef<'_>) -> Self {
-        let sensor = names::token(sweep.header.sensor_name());
+    pub fn of(sweep: &SweepRef<'_>, form: &MessageForm) -> Self {
+        let own = sweep.header.sensor_name();
+        let name = form.name.as_deref().unwrap_or(own);
+        let sensor = names::token(name);
+        let frame_id = match &form.frame_id {
+            Some(frame_id) => frame_id,
+            None if name == sweep.header.sensor() => &sensor,
+            None => name,
+        };
         let header = MessageHeader {
-            frame_id: &sensor,
+            frame_id,
             stamp: Stamp::First,
         };
         let mut points = Vec::new();
-        Cloud::default().encode(sweep, &header, &mut points);
+        form.cloud.encode(sweep, &header, &mut points);
         let mut boxes = Vec::new();
         markers::encode(sweep, &header, &mut boxes);
+        let mount = Transform::of_mount(sweep.header, ROBOT_FRAME, frame_id);
         Self {
             // A time before 1970 is no time of a record.
             time_ns: sweep.header.time_ns.max(0) as u64,
-            mount: Transform::of_mount(sweep.header, ROBOT_FRAME, &sensor),
+            mount: Pose::of_mount(sweep.header).is_given().then_some(mount),
             points,
             markers: boxes,
             sensor,
@@ -162,6 +205,8 @@ pub struct McapWriter<W: Write> {
     /// Where each sensor sits, as `/tf_static` says.
     mounts: BTreeMap<String, Transform>,
     static_transforms: Option<Channel>,
+    /// The first and the last time of a message.
+    times_ns: Option<(u64, u64)>,
 }
 
 /// A topic, and the messages in it.
@@ -186,6 +231,7 @@ impl<W: Write> McapWriter<W> {
             sensors: BTreeMap::new(),
             mounts: BTreeMap::new(),
             static_transforms: None,
+            times_ns: None,
         })
     }
 
@@ -199,8 +245,10 @@ impl<W: Write> McapWriter<W> {
     }
 
     fn try_write(&mut self, messages: &SweepMessages) -> Result<(), McapError> {
-        if self.mounts.get(&messages.sensor) != Some(&messages.mount) {
-            self.write_mount(messages)?;
+        if let Some(mount) = &messages.mount
+            && self.mounts.get(&messages.sensor) != Some(mount)
+        {
+            self.write_mount(messages, mount)?;
         }
         if !self.sensors.contains_key(&messages.sensor) {
             let channels = self.add_sensor(&messages.sensor)?;
@@ -210,6 +258,8 @@ impl<W: Write> McapWriter<W> {
             return Ok(());
         };
         let time_ns = messages.time_ns;
+        let (first_ns, last_ns) = self.times_ns.unwrap_or((time_ns, time_ns));
+        self.times_ns = Some((first_ns.min(time_ns), last_ns.max(time_ns)));
         channels
             .points
             .write(&mut self.writer, time_ns, &messages.points)?;
@@ -219,24 +269,46 @@ impl<W: Write> McapWriter<W> {
     }
 
     /// All transforms so far: a late reader of `/tf_static` gets the last message only.
-    fn write_mount(&mut self, messages: &SweepMessages) -> Result<(), McapError> {
-        let mount = messages.mount.clone();
-        self.mounts.insert(messages.sensor.clone(), mount);
+    fn write_mount(
+        &mut self,
+        messages: &SweepMessages,
+        mount: &Transform,
+    ) -> Result<(), McapError> {
+        self.mounts.insert(messages.sensor.clone(), mount.clone());
         let mounts: Vec<Transform> = self.mounts.values().cloned().collect();
         let mut message = Vec::new();
         transforms::encode(messages.time_ns as i64, &mounts, &mut message);
         let channel = match &mut self.static_transforms {
             Some(channel) => channel,
-            none => none.insert(Channel::new(TRANSFORMS.add(&mut self.writer, "")?)),
+            none => none.insert(Channel::new(TRANSFORMS.add(&mut self.writer, "", 0)?)),
         };
         channel.write(&mut self.writer, messages.time_ns, &message)
     }
 
     fn add_sensor(&mut self, sensor: &str) -> Result<SensorChannels, McapError> {
+        let number = self.sensors.len();
         Ok(SensorChannels {
-            points: Channel::new(POINTS.add(&mut self.writer, sensor)?),
-            markers: Channel::new(MARKERS.add(&mut self.writer, sensor)?),
+            points: Channel::new(POINTS.add(&mut self.writer, sensor, number)?),
+            markers: Channel::new(MARKERS.add(&mut self.writer, sensor, number)?),
         })
+    }
+
+    /// What was written so far.
+    fn contents(&self) -> Contents {
+        let mut topics = Vec::new();
+        if let Some(channel) = &self.static_transforms {
+            topics.push(TRANSFORMS.contents("", channel));
+        }
+        for (sensor, channels) in &self.sensors {
+            topics.push(POINTS.contents(sensor, &channels.points));
+            topics.push(MARKERS.contents(sensor, &channels.markers));
+        }
+        let (first_ns, last_ns) = self.times_ns.unwrap_or_default();
+        Contents {
+            topics,
+            first_ns,
+            last_ns,
+        }
     }
 
     /// Writes the chunk under way, so that the file can be read up to here.
@@ -285,6 +357,7 @@ impl Channel {
 pub struct McapOutput {
     writer: McapWriter<BufWriter<File>>,
     new: NewFile,
+    bag: Option<BagFolder>,
 }
 
 impl McapOutput {
@@ -296,7 +369,24 @@ impl McapOutput {
         ending_of(path, ENDINGS)?;
         let (file, new) = NewFile::create(path, existing)?;
         let writer = McapWriter::new(BufWriter::new(file)).map_err(|cause| new.failed(cause))?;
-        Ok(Self { writer, new })
+        Ok(Self {
+            writer,
+            new,
+            bag: None,
+        })
+    }
+
+    /// Begins a bag of rosbag2: a folder with the file and what it holds.
+    ///
+    /// # Errors
+    /// [`WriteError`]: a bag that exists, or a folder that cannot be made or written.
+    pub fn create_bag(folder: &Path, existing: Existing) -> Result<Self, WriteError> {
+        let bag = BagFolder::create(folder, existing)?;
+        let output = Self::create(&bag.file(), existing)?;
+        Ok(Self {
+            bag: Some(bag),
+            ..output
+        })
     }
 
     /// Writes the messages of a sweep.
@@ -313,9 +403,14 @@ impl McapOutput {
     /// # Errors
     /// [`WriteError`].
     pub fn finish(self) -> Result<(), WriteError> {
+        let contents = self.bag.as_ref().map(|_| self.writer.contents());
         let finished = self.writer.finish();
         finished.map_err(|cause| self.new.failed(cause))?;
-        self.new.commit()
+        self.new.commit()?;
+        match self.bag.zip(contents) {
+            Some((bag, contents)) => bag.finish(&contents),
+            None => Ok(()),
+        }
     }
 }
 

@@ -17,7 +17,7 @@ pub(crate) fn messages(sweeps: u64) -> Vec<SweepMessages> {
                 .set_name(["roof", "front-left"][number as usize % 2]);
             sweep.header.position_m = [0.5, 1.0, 2.0];
         });
-        all.push(SweepMessages::of(&scene.sweep()));
+        all.push(SweepMessages::of(&scene.sweep(), &MessageForm::default()));
     }
     all
 }

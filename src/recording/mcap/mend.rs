@@ -424,7 +424,9 @@ impl<W: Write> MendedFile<W> {
                 continue;
             };
             for topic in TOPICS {
-                let channel = topic.add(&mut self.writer, &sensor).map_err(io_error)?;
+                let channel = topic
+                    .add(&mut self.writer, &sensor, 0)
+                    .map_err(io_error)?;
                 self.channels.insert(channel);
             }
             return Ok(());
@@ -484,7 +486,7 @@ fn split_message(body: &[u8]) -> Option<(RecordHeader, &[u8])> {
     Some((header, data))
 }
 
-/// The sensor of a cloud that this program wrote: the frame in its header.
+/// The sensor of a cloud that this program wrote, as in its topics: by the frame in its header.
 fn sensor_of(header: &RecordHeader, data: &[u8]) -> Option<String> {
     // Encapsulation and stamp; then the frame, whose length counts a zero at its end.
     const FRAME: usize = 12;
@@ -494,5 +496,5 @@ fn sensor_of(header: &RecordHeader, data: &[u8]) -> Option<String> {
     let (field, _) = split_bytes(data.get(field..)?)?;
     let frame = std::str::from_utf8(frame.strip_suffix(b"\0")?).ok()?;
     let is_cloud = header.channel_id == POINTS.id && field == b"x\0";
-    (is_cloud && names::token(frame) == frame).then(|| frame.to_owned())
+    is_cloud.then(|| names::token(frame))
 }

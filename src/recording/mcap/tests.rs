@@ -11,7 +11,7 @@ use mcap::io::MessageReader;
 use mcap::sans_io::LinearReaderOptions;
 
 use super::*;
-use crate::export::mcap::McapOutput;
+use crate::export::mcap::{McapOutput, MessageForm};
 use crate::export::mcap::tests::{Read, expected, file, messages, read};
 use crate::export::test_scene::Scene;
 use crate::files::WriteError;
@@ -94,7 +94,10 @@ impl Recording {
                 sweep.header.time_ns += number * 100_000_000;
                 sweep.header.set_name("roof");
             });
-            messages.push(SweepMessages::of(&scene.sweep()));
+            messages.push(SweepMessages::of(
+                &scene.sweep(),
+                &MessageForm::default(),
+            ));
         }
         let bytes = file(&messages);
         let mut chunks = Vec::new();
