@@ -123,6 +123,17 @@ impl WriteError {
         Self::Recording { path: place, cause }
     }
 
+    /// The same of a recording that was ended early, and is whole up to there.
+    pub(super) fn ended_early(self, path: &Path) -> Self {
+        let path = path.to_owned();
+        match self {
+            Self::File { cause, .. }
+            | Self::Recording { cause, .. }
+            | Self::Unfinished { cause, .. } => Self::Recording { path, cause },
+            other => other,
+        }
+    }
+
     /// Whether it is a pipe that no program reads (open(2)).
     pub fn is_unread_pipe(&self) -> bool {
         let Self::Recording { path, cause } = self else {

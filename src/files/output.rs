@@ -108,6 +108,26 @@ impl NewFile {
         }
     }
 
+    /// Bytes of the file so far.
+    ///
+    /// # Errors
+    /// What the disk says.
+    pub fn written_len(&self) -> io::Result<u64> {
+        Ok(self.file.metadata()?.len())
+    }
+
+    /// Opens what was written, to read and change it.
+    ///
+    /// # Errors
+    /// What the system says; that it is no file, or not there any more.
+    pub fn reopen(&self) -> io::Result<File> {
+        let file = parts::open(&self.place)?;
+        match is_named(&self.file, &self.place) {
+            true => Ok(file),
+            false => Err(io::ErrorKind::NotFound.into()),
+        }
+    }
+
     /// Renames the file; all data must have been written.
     ///
     /// # Errors

@@ -179,8 +179,11 @@ fn number_of(name: &str, first: &str) -> Option<u32> {
     }
 }
 
-/// Opens a file to lock and read it. Neither follows a link nor waits for a pipe.
-fn open(path: &Path) -> io::Result<File> {
+/// Opens a file to lock, read and end it. Neither follows a link nor waits for a pipe.
+///
+/// # Errors
+/// What the system says; that it is no file.
+pub fn open(path: &Path) -> io::Result<File> {
     // Some network file systems lock only files that are open for writing.
     let mut options = File::options();
     options.read(true).write(true);

@@ -113,6 +113,15 @@ pub trait Contents: Sized {
     /// What the disk says.
     fn finish(self) -> io::Result<()>;
 
+    /// Gives a file that the disk did not take to its end one, in place and behind all that is whole:
+    /// at least its first `safe_len` bytes are. Only for what needs an end.
+    ///
+    /// # Errors
+    /// Why it cannot be done; then the part can still be recovered.
+    fn end_early(_part: File, _safe_len: u64) -> io::Result<()> {
+        Err(io::ErrorKind::Unsupported.into())
+    }
+
     /// Gives the part that a killed recording left, opened and locked as `file`, the first free name
     /// of this stem and ending.
     ///
@@ -169,6 +178,9 @@ struct Names {
 struct OpenFile<C> {
     contents: C,
     new: NewFile,
+    existing: Existing,
+    /// Bytes of the file that are certainly on the disk.
+    safe_len: u64,
     len: u64,
     /// Time of its first record.
     begun_ns: Option<i64>,
@@ -265,13 +277,19 @@ impl<C: Contents> Sequence<C> {
     /// [`WriteError`].
     pub fn finish(self, ended: Result<(), WriteError>) -> (Written, Result<(), WriteError>) {
         let mut written = self.written;
-        let ended = ended.and_then(|()| self.file.finish());
+        let ended = match ended {
+            Ok(()) => self.file.finish(),
+            Err(error) => Err(self.file.end_early(error)),
+        };
         match ended {
             Ok(path) => {
                 written.name_last(path);
                 (written, Ok(()))
             }
-            Err(error) => {
+            Err((named, error)) => {
+                if let Some(path) = named {
+                    written.name_last(path);
+                }
                 (written.records, written.bytes) = self.safe;
                 (written, Err(error))
             }
@@ -290,7 +308,15 @@ impl<C: Contents> Sequence<C> {
 
     fn rotate(&mut self) -> Result<(), WriteError> {
         let next = self.names.open()?;
-        let path = std::mem::replace(&mut self.file, next).finish()?;
+        let path = match std::mem::replace(&mut self.file, next).finish() {
+            Ok(path) => path,
+            Err((named, error)) => {
+                if let Some(path) = named {
+                    self.written.name_last(path);
+                }
+                return Err(error);
+            }
+        };
         self.safe = self.so_far();
         self.written.name_last(path);
         self.written.last = self.file.new.place().to_owned();
@@ -337,6 +363,8 @@ impl<C: Contents> OpenFile<C> {
         Ok(Self {
             contents,
             new,
+            existing,
+            safe_len: 0,
             len: C::HEADER_LEN,
             begun_ns: None,
         })
@@ -353,7 +381,9 @@ impl<C: Contents> OpenFile<C> {
 
     fn sync(&mut self) -> io::Result<()> {
         self.contents.flush()?;
-        self.new.sync()
+        self.new.sync()?;
+        self.safe_len = self.new.written_len()?;
+        Ok(())
     }
 
     fn failed(&self, cause: io::Error) -> WriteError {
@@ -362,18 +392,58 @@ impl<C: Contents> OpenFile<C> {
     }
 
     /// Ends the file, syncs it and gives it its name.
-    fn finish(self) -> Result<PathBuf, WriteError> {
-        let Self { contents, new, .. } = self;
+    ///
+    /// # Errors
+    /// As [`Self::end_early`].
+    fn finish(self) -> Result<PathBuf, (Option<PathBuf>, WriteError)> {
+        let Self {
+            contents,
+            new,
+            existing,
+            safe_len,
+            ..
+        } = self;
+        if let Err(cause) = contents.finish().and_then(|()| new.sync()) {
+            let error = new.failed(cause);
+            return Err(give_up::<C>(new, existing, safe_len, error));
+        }
         let (path, place) = (new.path().to_owned(), new.place().to_owned());
-        let finished = contents.finish().and_then(|()| new.sync());
-        let finished = match finished {
-            Ok(()) => new.commit(),
-            Err(cause) => Err(new.failed(cause)),
-        };
-        finished.map_err(|error| error.of_recording(&place, C::NEEDS_END))?;
+        if let Err(error) = new.commit() {
+            return Err((None, error.of_recording(&place, C::NEEDS_END)));
+        }
         sync_folder_of(&path);
         Ok(path)
     }
+
+    /// Gives what is whole of the file an end and its name, if the disk lets it; gives the name, and
+    /// why the file was not written to its end.
+    fn end_early(self, error: WriteError) -> (Option<PathBuf>, WriteError) {
+        // What it still holds goes to the disk now, or never.
+        drop(self.contents);
+        give_up::<C>(self.new, self.existing, self.safe_len, error)
+    }
+}
+
+/// As [`OpenFile::end_early`].
+fn give_up<C: Contents>(
+    new: NewFile,
+    existing: Existing,
+    safe_len: u64,
+    error: WriteError,
+) -> (Option<PathBuf>, WriteError) {
+    let (path, place) = (new.path().to_owned(), new.place().to_owned());
+    let is_ended = C::NEEDS_END
+        && new
+            .reopen()
+            .and_then(|part| C::end_early(part, safe_len))
+            .is_ok();
+    // A file that is to be replaced is worth more than one that is cut.
+    if is_ended && existing == Existing::Keep && new.commit().is_ok() {
+        sync_folder_of(&path);
+        let error = error.ended_early(&path);
+        return (Some(path), error);
+    }
+    (None, error.of_recording(&place, C::NEEDS_END))
 }
 
 impl Names {

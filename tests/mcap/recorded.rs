@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::path::Path;
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 use mcap::MessageStream;
@@ -141,4 +142,39 @@ fn a_killed_recording_is_mended() {
     assert!(!part.exists() && !read(&file).is_empty());
     sensor.signal("-KILL");
     sensor.wait();
+}
+
+/// A disk of 2 MB, in a namespace of the test's own, is full within a second.
+#[test]
+#[cfg_attr(without_root, ignore = "not root, or no namespaces")]
+fn a_full_disk_leaves_a_file_that_is_read_at_once() {
+    let setup = Setup::new("", "");
+    let _daemon = setup.daemon();
+    let _ = setup.client();
+    let _sensor = setup.sensor("vlp16", 600, 30.0);
+    let (disk, copy) = (setup.path("disk"), setup.path("copy.mcap"));
+    fs::create_dir(&disk).unwrap();
+    let file = disk.join("roof.mcap");
+    let (disk, to, root) = (disk.display(), file.to_str().unwrap(), setup.own.root());
+    let program = sweepd(&[]).get_program().to_owned();
+    let script = format!(
+        "mount -t tmpfs -o size=2m none {disk}\n\
+         {} record --from roof --root {} --mcap {to} --seconds 20 && exit 9\n\
+         ls {disk}\n\
+         cp {to} {}\n",
+        program.display(),
+        root.display(),
+        copy.display(),
+    );
+    let ran = Command::new("unshare")
+        .args(["-m", "sh", "-c", &script])
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&ran.stderr);
+    assert!(ran.status.success(), "{said}");
+    assert_eq!(String::from_utf8_lossy(&ran.stdout), "roof.mcap\n");
+    let expected = format!("error: cannot write {to}: No space left on device");
+    assert!(said.contains(&expected), "{said}");
+    let clouds = read(&copy).len() / 2;
+    assert!(clouds >= 3, "{clouds} clouds");
 }

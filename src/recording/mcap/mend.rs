@@ -16,7 +16,7 @@ use mcap::write::NoSeek;
 use crate::export::mcap::{LIBRARY, POINTS, TOPICS, io_error, options};
 use crate::files::parts::{self, Recovery};
 use crate::input::bag::mcap::{
-    CHANNEL, CHUNK, ChannelRecord, ChunkHeader, DATA_END, HEADER, MAGIC, MAX_LEN, MESSAGE,
+    CHANNEL, CHUNK, ChannelRecord, ChunkHeader, DATA_END, FOOTER, HEADER, MAGIC, MAX_LEN, MESSAGE,
     MESSAGE_INDEX, SCHEMA, SUMMARY, SchemaRecord, split_bytes, split_text, split_u16, split_u32,
     split_u64,
 };
@@ -37,6 +37,21 @@ const RECORD_HEAD: usize = 9;
 const MAX_OTHER_LEN: u64 = 16 << 20;
 /// Most records between two chunks.
 const MOST_OTHERS: usize = 1 << 16;
+/// The end of the data and the footer, each with its length, and the magic bytes: no check sums and no
+/// summary.
+const END_WITHOUT_INDEX: [u8; 50] = {
+    let mut end = [0; 50];
+    end[0] = DATA_END;
+    end[1] = 4;
+    end[13] = FOOTER;
+    end[14] = 20;
+    let mut at = 0;
+    while at < MAGIC.len() {
+        end[42 + at] = MAGIC[at];
+        at += 1;
+    }
+    end
+};
 
 /// What became of a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -124,6 +139,31 @@ pub(super) fn mend_part(
         damaged_places: found.damaged_places,
         original,
     })
+}
+
+/// Cuts a file behind its last whole chunk, and gives it an end without an index: that takes the
+/// least room. Its first `safe_len` bytes are known to be whole.
+///
+/// # Errors
+/// What the disk says; a file in which no chunk is whole. Then it is cut at most.
+pub(super) fn end_early(mut file: File, safe_len: u64) -> io::Result<()> {
+    let mut damaged = Damaged::open(&file)?;
+    let (end, last) = damaged.whole_end(safe_len.max(MAGIC.len() as u64))?;
+    if last.is_none() && safe_len == 0 {
+        return Err(io::Error::other("no chunk of it is whole"));
+    }
+    // Where the disk has no room left at all, the last chunk gives way.
+    let mut ended = Err(io::ErrorKind::StorageFull.into());
+    for cut in [Some(end), last].into_iter().flatten() {
+        file.set_len(cut)?;
+        file.seek(SeekFrom::End(0))?;
+        ended = file.write_all(&END_WITHOUT_INDEX);
+        if ended.is_ok() {
+            break;
+        }
+        file.set_len(cut)?;
+    }
+    ended.and_then(|()| file.sync_data())
 }
 
 /// Mends into a new file, which is there only if all went well.
@@ -268,6 +308,30 @@ impl<R: Read + Seek> Damaged<R> {
         let fits = header.compressed_len <= (self.len - place).min(MAX_LEN);
         let is_checked = header.has_check_sum() && header.len() <= MAX_LEN;
         (fits && is_checked).then_some((header, place))
+    }
+
+    /// Where the whole chunks end that follow each other from a place on, and where the last of them
+    /// begins.
+    fn whole_end(&mut self, from: u64) -> io::Result<(u64, Option<u64>)> {
+        let mut place = from;
+        let mut last = None;
+        loop {
+            let start = self.read_at(place, RECORD_START)?;
+            let end = match start.first() {
+                Some(&CHUNK) => self.chunk(place, &start)?.map(|chunk| chunk.end),
+                Some(&HEADER | &MESSAGE_INDEX) => {
+                    other_len(&start, false).map(|len| place.saturating_add(len))
+                }
+                _ => None,
+            };
+            let Some(end) = end.filter(|&end| end <= self.len) else {
+                return Ok((place, last));
+            };
+            if start[0] == CHUNK {
+                last = Some(place);
+            }
+            place = end;
+        }
     }
 
     /// Where the records other than chunks end that begin at a place; at most at `end`.
@@ -424,9 +488,7 @@ impl<W: Write> MendedFile<W> {
                 continue;
             };
             for topic in TOPICS {
-                let channel = topic
-                    .add(&mut self.writer, &sensor, 0)
-                    .map_err(io_error)?;
+                let channel = topic.add(&mut self.writer, &sensor, 0).map_err(io_error)?;
                 self.channels.insert(channel);
             }
             return Ok(());

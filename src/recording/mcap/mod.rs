@@ -53,6 +53,10 @@ impl Contents for McapWriter<BufWriter<File>> {
         McapWriter::finish(self).map(drop)
     }
 
+    fn end_early(part: File, safe_len: u64) -> io::Result<()> {
+        mend::end_early(part, safe_len)
+    }
+
     fn recover(
         file: File,
         part: &Path,

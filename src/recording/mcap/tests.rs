@@ -1,7 +1,7 @@
 //! Files cut, mended, rotated, and read back by the library.
 
 use std::fs;
-use std::io::Cursor;
+use std::io::{Cursor, Write};
 use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
@@ -11,8 +11,8 @@ use mcap::io::MessageReader;
 use mcap::sans_io::LinearReaderOptions;
 
 use super::*;
-use crate::export::mcap::{McapOutput, MessageForm};
 use crate::export::mcap::tests::{Read, expected, file, messages, read};
+use crate::export::mcap::{McapOutput, MessageForm};
 use crate::export::test_scene::Scene;
 use crate::files::WriteError;
 use crate::files::output::Existing;
@@ -94,10 +94,7 @@ impl Recording {
                 sweep.header.time_ns += number * 100_000_000;
                 sweep.header.set_name("roof");
             });
-            messages.push(SweepMessages::of(
-                &scene.sweep(),
-                &MessageForm::default(),
-            ));
+            messages.push(SweepMessages::of(&scene.sweep(), &MessageForm::default()));
         }
         let bytes = file(&messages);
         let mut chunks = Vec::new();
@@ -437,6 +434,95 @@ fn existing_files_and_other_names_are_refused() {
             let text = error.to_string();
             assert!(text.ends_with("a name that ends in .mcap"), "{text}");
         }
+    }
+}
+
+/// Where the disk takes no more, wherever that is in a chunk or in the end of the file, what is whole
+/// can be read at once.
+#[test]
+fn a_file_that_the_disk_cut_anywhere_is_ended_behind_its_last_chunk() {
+    let recording = Recording::small();
+    let (bytes, chunks) = (&recording.bytes, &recording.chunks);
+    let last = &chunks[7];
+    let near = [
+        last.start,
+        last.end - 1,
+        last.end,
+        last.end + 5,
+        bytes.len(),
+    ];
+    let cuts = (chunks[4].start..bytes.len()).step_by(bytes.len() / 60);
+    for cut in cuts.chain(near) {
+        // Known to be whole: nothing, or the header and all chunks.
+        let whole = chunks.iter().filter(|chunk| chunk.end <= cut).count();
+        for safe_len in [0, chunks[0].start, chunks[whole - 1].end] {
+            let mut file = tempfile::NamedTempFile::new_in("/dev/shm").unwrap();
+            file.write_all(&bytes[..cut]).unwrap();
+            mend::end_early(file.reopen().unwrap(), safe_len as u64).unwrap();
+            let found = fs::read(file.path()).unwrap();
+            assert!(
+                read(&found) == recording.messages[..2 * whole],
+                "cut at {cut}"
+            );
+            // The library knows that there is no index.
+            assert!(mcap::Summary::read(&found).unwrap().is_none());
+        }
+    }
+    for cut in [0, 7, chunks[0].start, chunks[0].end - 1] {
+        let mut file = tempfile::NamedTempFile::new_in("/dev/shm").unwrap();
+        file.write_all(&bytes[..cut]).unwrap();
+        assert!(mend::end_early(file.reopen().unwrap(), 0).is_err());
+        assert_eq!(fs::read(file.path()).unwrap(), &bytes[..cut]);
+    }
+}
+
+/// It has its name, unless it was to replace a file.
+#[test]
+fn what_was_written_before_the_disk_failed_is_a_file() {
+    let all = messages(3);
+    for existing in [Existing::Keep, Existing::Replace] {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("roof.mcap");
+        let mut files = begin(&file, Rotation::default(), existing).unwrap();
+        for one in &all {
+            files.write(one).unwrap();
+        }
+        let full = WriteError::file(&file, io::ErrorKind::StorageFull.into());
+        let (written, ended) = files.finish(Err(full));
+        let error = ended.unwrap_err().to_string();
+        let place = match existing {
+            Existing::Keep => file,
+            Existing::Replace => folder.path().join("roof.mcap.part"),
+        };
+        let begin = format!("cannot write {}: no storage space; ", place.display());
+        assert!(error.starts_with(&begin), "{error}");
+        assert_eq!((names(folder.path()).len(), &written.last), (1, &place));
+        assert!(read(&fs::read(place).unwrap()) == expected(&all));
+    }
+}
+
+/// Another program has taken it away, or put something in its place: that stays.
+#[test]
+fn a_part_that_is_gone_gets_no_end() {
+    for other in [None, Some("of another program")] {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("roof.mcap");
+        let part = folder.path().join("roof.mcap.part");
+        let mut files = begin(&file, Rotation::default(), Existing::Keep).unwrap();
+        files.write(&messages(1)[0]).unwrap();
+        fs::remove_file(&part).unwrap();
+        if let Some(other) = other {
+            fs::write(&part, other).unwrap();
+        }
+        let failed = WriteError::file(&file, io::Error::other("the disk is gone"));
+        let (_, ended) = files.finish(Err(failed));
+        let error = ended.unwrap_err().to_string();
+        assert!(
+            error.contains("roof.mcap.part: the disk is gone"),
+            "{error}"
+        );
+        assert_eq!(names(folder.path()).len(), usize::from(other.is_some()));
+        assert_eq!(fs::read_to_string(&part).ok().as_deref(), other);
     }
 }
 
