@@ -99,6 +99,7 @@ impl OutputOptions {
             &self.pcd,
             &self.png,
             &self.mcap,
+            &self.bag,
             &self.segments,
             &self.raw,
         ];

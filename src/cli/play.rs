@@ -1,26 +1,29 @@
 //! The part of a capture to play, its speed and repetitions.
 
+use std::fmt;
 use std::net::SocketAddr;
 use std::path::Path;
 use std::str::FromStr;
 
 use super::CliError;
-use super::options::within;
-use crate::input::Speed;
+use crate::input::{Placed, Speed};
+use crate::text::{nanoseconds_of_text, time_of_text, utc_text};
 
-/// Greatest time of a capture in options, seconds: 31 years.
+/// Greatest time from the start of a capture in options, seconds: 31 years.
 const LONGEST_S: f64 = 1e9;
+const NOTHING_LEFT: &str = "--end is not after --start: nothing would be left";
 
 /// What is played, and how fast.
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Replay")]
 pub struct PlayOptions {
-    /// Leave out what comes before this, seconds from the start of the capture
-    #[arg(long, alias = "from", value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
-    pub start: Option<f64>,
-    /// Stop at this, seconds from the start of the capture
-    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
-    end: Option<f64>,
+    /// Leave out what comes before this: seconds from the start of the capture, seconds since 1970,
+    /// or a time such as 2026-05-04T10:16:40Z; the last two by the times of the records
+    #[arg(long, alias = "from", value_name = "TIME", value_parser = moment, allow_negative_numbers = true)]
+    start: Option<Moment>,
+    /// Stop at this, given as for --start
+    #[arg(long, value_name = "TIME", value_parser = moment, allow_negative_numbers = true)]
+    end: Option<Moment>,
     /// realtime, max, or a factor such as 0.5; gaps of over a minute are not waited for [default:
     /// max; realtime with --to and --publish]
     #[arg(long, allow_negative_numbers = true)]
@@ -37,19 +40,72 @@ pub struct PlayOptions {
     to: Vec<To>,
 }
 
+/// A time of a capture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Moment {
+    /// Seconds from its start.
+    After(f64),
+    /// By the times of its records, nanoseconds since 1970.
+    At(i64),
+}
+
+impl Moment {
+    /// Whether a time is before it.
+    fn is_after(self, time: CaptureTime) -> bool {
+        match self {
+            Self::After(seconds) => (time.since_start_ns as f64 * 1e-9) < seconds,
+            Self::At(ns) => time.ns() < ns,
+        }
+    }
+}
+
+impl fmt::Display for Moment {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::After(seconds) => write!(f, "{seconds} s"),
+            Self::At(ns) => f.write_str(&utc_text(*ns)),
+        }
+    }
+}
+
+/// The time of a record.
+#[derive(Clone, Copy, Debug)]
+pub struct CaptureTime {
+    /// Of the first record, nanoseconds since 1970.
+    pub start_ns: i64,
+    /// Nanoseconds after it.
+    pub since_start_ns: i64,
+}
+
+impl CaptureTime {
+    fn ns(self) -> i64 {
+        self.start_ns.saturating_add(self.since_start_ns)
+    }
+}
+
+impl From<&Placed<'_>> for CaptureTime {
+    fn from(placed: &Placed<'_>) -> Self {
+        let since_start_ns = placed.since_start_ns;
+        Self {
+            start_ns: placed.datagram.arrival_ns.saturating_sub(since_start_ns),
+            since_start_ns,
+        }
+    }
+}
+
 /// Values of `--to`.
 #[derive(Clone, Copy, Debug)]
 enum To {
     /// Where datagrams are sent.
     Address(SocketAddr),
-    /// The older spelling of `--end`, seconds.
-    End(f64),
+    /// The older spelling of `--end`.
+    End(Moment),
 }
 
 /// A value of `--to`: a number is the older spelling of `--end`.
 fn to(text: &str) -> Result<To, String> {
     match text.parse::<f64>() {
-        Ok(_) => seconds(text).map(To::End),
+        Ok(_) => moment(text).map(To::End),
         Err(_) => destination(text).map(To::Address),
     }
 }
@@ -78,9 +134,21 @@ impl FromStr for Times {
     }
 }
 
-/// A time of a capture, to the nanosecond, as its records have it.
-fn seconds(text: &str) -> Result<f64, String> {
-    within(0.0..=LONGEST_S, "seconds")(text).map(|seconds| (seconds * 1e9).round() / 1e9)
+/// A value of `--start` or `--end`: seconds beyond those of any capture are since 1970.
+fn moment(text: &str) -> Result<Moment, String> {
+    let seconds = text.parse::<f64>().ok();
+    let since_start = seconds.filter(|seconds| (0.0..=LONGEST_S).contains(seconds));
+    if let Some(seconds) = since_start {
+        // To the nanosecond, as records have it.
+        return Ok(Moment::After((seconds * 1e9).round() / 1e9));
+    }
+    let time_ns = time_of_text(text).or_else(|| nanoseconds_of_text(text));
+    time_ns.map(Moment::At).ok_or_else(|| {
+        format!(
+            "expected 0 to {LONGEST_S} seconds from the start of the capture, more as seconds since 1970, \
+             or a time such as 2026-05-04T10:16:40Z or 2026-05-04T12:16:40+02:00"
+        )
+    })
 }
 
 /// Where datagrams can be sent to.
@@ -114,10 +182,9 @@ impl PlayOptions {
             _ if self.times.is_some() && capture.as_os_str() == "-" => {
                 "standard input cannot be played again: --loop needs a file"
             }
-            (Some(start), Some(end)) if end <= start => {
-                "--end is not after --start: nothing would be left"
-            }
-            (None, Some(0.0)) => {
+            (Some(Moment::After(start)), Some(Moment::After(end))) if end <= start => NOTHING_LEFT,
+            (Some(Moment::At(start)), Some(Moment::At(end))) if end <= start => NOTHING_LEFT,
+            (None, Some(Moment::After(0.0))) => {
                 "--end 0 leaves nothing of the capture: expected more than 0 seconds"
             }
             _ => return Ok(()),
@@ -133,8 +200,8 @@ impl PlayOptions {
         })
     }
 
-    /// When it stops, seconds from the start of the capture.
-    fn end(&self) -> Option<f64> {
+    /// When it stops.
+    fn end(&self) -> Option<Moment> {
         let older = self.to.iter().rev().find_map(|to| match to {
             To::End(end) => Some(*end),
             To::Address(_) => None,
@@ -160,12 +227,11 @@ impl PlayOptions {
         }
     }
 
-    /// Position of a time of the capture, nanoseconds from its start.
-    pub fn when(&self, since_start_ns: i64) -> When {
-        let seconds = since_start_ns as f64 * 1e-9;
-        if self.start.is_some_and(|start| seconds < start) {
+    /// Position of a time of the capture.
+    pub fn when(&self, time: CaptureTime) -> When {
+        if self.start.is_some_and(|start| start.is_after(time)) {
             When::Before
-        } else if self.end().is_some_and(|end| seconds >= end) {
+        } else if self.end().is_some_and(|end| !end.is_after(time)) {
             When::After
         } else {
             When::Within
@@ -176,10 +242,10 @@ impl PlayOptions {
     pub fn part(&self) -> String {
         let mut part = String::new();
         if let Some(start) = self.start {
-            part += &format!(" from {start} s");
+            part += &format!(" from {start}");
         }
         if let Some(end) = self.end() {
-            part += &format!(" to {end} s");
+            part += &format!(" to {end}");
         }
         part
     }

@@ -2,12 +2,14 @@
 
 mod args;
 mod messages;
+mod piece;
 mod playback;
 mod progress;
 mod summary;
 mod sweeps;
 mod track;
 
+use self::piece::Piece;
 use self::playback::Playback;
 use self::summary::{SensorReport, SummaryLine, Sums};
 use self::sweeps::{Finisher, Writer};
@@ -24,8 +26,7 @@ pub use args::Args;
 /// # Errors
 /// [`CliError`]: what stopped it, or what it could not decode.
 pub fn run(args: &Args) -> Result<(), CliError> {
-    args.play.check(&args.capture)?;
-    args.publish.check()?;
+    args.check()?;
     let mut replay = Replay::new(args)?;
     for played in 1.. {
         let mut capture = progress::open(args, &replay.playback.setup.progress)?;
@@ -103,6 +104,7 @@ impl<'a> Replay<'a> {
                     ..
                 },
             streams: Streams { all, sensors, .. },
+            piece,
             others_before,
             ..
         } = self.playback;
@@ -119,7 +121,9 @@ impl<'a> Replay<'a> {
             .collect();
         let other_traffic = capture.counts().other_traffic() + sensors.others() - others_before;
         outputs.line(|| SummaryLine::new(capture, other_traffic, &reports, timing))?;
-        let written = outputs.finish()?;
+        let piece = piece.map_or(Ok(None), Piece::finish)?;
+        let written: Vec<String> = outputs.finish()?.into_iter().chain(piece).collect();
+        let written = (!written.is_empty()).then(|| written.join("; "));
         if !args.is_piped() {
             summary::print(other_traffic, &reports, written.as_deref(), timing)
                 .map_err(CliError::Stdout)?;

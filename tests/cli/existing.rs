@@ -68,6 +68,7 @@ fn a_file_that_exists_is_replaced_only_with_force() {
         &["replay", losses, "--no-timing", "--segments", jsonl_to],
         &jsonl,
     );
+    replaces_only_when_forced(&["replay", losses, "--pcap", pcap_to], &pcap);
     let cloud = folder.write(
         "cloud.bin",
         [1.0_f32, 0.5, -0.2, 0.0]
@@ -240,4 +241,35 @@ fn pipes_and_devices_are_written_to_and_a_failed_run_leaves_the_old_file() {
     sweepd(&[&wrong[..], &["--truth", "/proc/none"]].concat()).says(&["/proc/none"]);
     assert_eq!(std::fs::read(&old).unwrap(), b"mine");
     assert!(!folder.path("old.pcap.part").exists());
+}
+
+#[test]
+fn a_bag_is_replaced_only_with_force() {
+    let folder = Folder::new("existing-bag");
+    let capture = fixture("street_vlp16_losses.pcap");
+    let bag = folder.path("deep/drive");
+    let bag = ["--bag", bag.to_str().unwrap()];
+    let short = replay(&capture, &[&bag[..], &["--layout=xyz"]].concat());
+    short.says(&["--layout <LAYOUT>"]);
+    replay(&capture, &["--organized"]).says(&["arguments were not provided"]);
+    let both = replay(&capture, &[&bag[..], &["--name=a", "--name=a"]].concat());
+    both.says(&["--name a is given twice"]);
+    assert!(!folder.path("deep").exists());
+    let more = replay(
+        &capture,
+        &[
+            "--bag",
+            folder.path("x").to_str().unwrap(),
+            "--name=a",
+            "--name=b",
+        ],
+    );
+    more.says(&["no sensor in it for --name b"]);
+    replay(&capture, &bag).done();
+    let written = folder.files("deep");
+    let names: Vec<&str> = written.iter().map(|(name, _)| &name[..]).collect();
+    assert_eq!(names, ["drive/drive_0.mcap", "drive/metadata.yaml"]);
+    replay(&capture, &bag).says(&["drive/metadata.yaml exists; --force replaces it"]);
+    replay(&capture, &[&bag[..], &["--force"]].concat()).done();
+    assert!(folder.files("deep") == written);
 }

@@ -22,6 +22,7 @@ mod obstacle;
 mod options;
 mod outputs;
 mod pages;
+mod piece;
 mod publish;
 mod record;
 mod segments;

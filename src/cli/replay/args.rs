@@ -9,6 +9,7 @@ use crate::cli::output::OutputOptions;
 use crate::cli::play::PlayOptions;
 use crate::cli::publish::PublishOptions;
 use crate::cli::sections::Sections;
+use crate::cli::stream::is_stdout;
 use crate::cure::{Dialect, explain};
 use sweepd_client::host::monotonic_ns;
 use sweepd_core::pipeline::Fault;
@@ -21,6 +22,7 @@ Examples:
   sweepd replay drive.pcapng --sensor 192.168.1.201 --json > sweeps.jsonl
   sweepd replay drive.pcap --config sweepd.toml --sensor roof
   sweepd replay drive.pcap --start 10 --end 20 --csv returns --partial
+  sweepd replay drive.pcap --start 60 --end 65 --pcap fault.pcap.gz
   sweepd replay drive.pcap --to 127.0.0.1:2368 --loop
   sweepd replay drive.pcap --publish roof --loop")]
 pub struct Args {
@@ -41,6 +43,16 @@ pub struct Args {
     /// with the labels of its objects; uses one thread
     #[arg(long, conflicts_with = "json", help_heading = "Output")]
     pub(super) objects: bool,
+    /// The packets that are replayed, as a capture of their own that gives the same sweeps:
+    /// NAME.pcap or NAME.pcap.gz; - is standard output. With --sensor, --start and --end a piece of
+    /// the capture, for a report of a fault
+    #[arg(
+        long,
+        value_name = "FILE",
+        conflicts_with = "times",
+        help_heading = "Output"
+    )]
+    pub(super) pcap: Option<PathBuf>,
     #[command(flatten)]
     pub(super) play: PlayOptions,
     #[command(flatten)]
@@ -55,7 +67,27 @@ impl Args {
 
     /// Whether standard output is for programs.
     pub(super) fn is_piped(&self) -> bool {
-        self.objects || self.output.is_piped()
+        self.objects || self.output.is_piped() || self.is_pcap_piped()
+    }
+
+    /// Whether the packets go to standard output.
+    fn is_pcap_piped(&self) -> bool {
+        self.pcap.as_deref().is_some_and(is_stdout)
+    }
+
+    /// Refuses options that contradict each other.
+    ///
+    /// # Errors
+    /// [`CliError::Usage`].
+    pub(super) fn check(&self) -> Result<(), CliError> {
+        if self.is_pcap_piped() && (self.objects || self.output.is_piped()) {
+            return Err(CliError::Usage(
+                "--pcap - and another output both write to standard output; give --pcap a file"
+                    .to_owned(),
+            ));
+        }
+        self.play.check(&self.capture)?;
+        self.publish.check()
     }
 
     /// The clock that times the stages, nanoseconds; it stands still where times are left out.

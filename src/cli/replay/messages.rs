@@ -6,7 +6,7 @@ use crate::admission::DiscoveredSensors;
 use crate::cli::complain;
 use crate::cli::sections::Sections;
 use crate::input::{Capture, CaptureError};
-use crate::text::count_of;
+use crate::text::{count_of, utc_text};
 
 /// Shows where the capture is damaged. Returns whether it could be read at all.
 pub(super) fn show_damage(capture: &Capture, read: Result<(), CaptureError>) -> bool {
@@ -56,7 +56,7 @@ pub(super) fn show_missing(
 
 /// Whether sweeps are wanted, rather than packets.
 fn wants_sweeps(args: &Args) -> bool {
-    args.play.destination().is_none()
+    args.play.destination().is_none() && args.pcap.is_none()
 }
 
 fn less_than_a_turn(args: &Args) -> String {
@@ -88,19 +88,21 @@ fn missing(
         let first_ns = capture.first_ns().unwrap_or(0);
         let ns = capture.last_ns().unwrap_or(0).saturating_sub(first_ns);
         let seconds = ns as f64 * 1e-9;
+        let begun = utc_text(first_ns);
         missing.push(format!(
-            "no data packets{part}; what was read of it spans {seconds:.3} s"
+            "no data packets{part}; what was read of it spans {seconds:.3} s from {begun} on"
         ));
     }
     if wants_sweeps(args) && !reports.is_empty() && reports.iter().all(SensorReport::lacks_a_turn) {
         missing.push(less_than_a_turn(args));
     }
-    let unshared: Vec<String> = args
+    let mut unshared: Vec<String> = args
         .publish
         .left_over(reports.len())
         .iter()
         .map(|name| format!("--publish {name}"))
         .collect();
+    unshared.extend(args.output.messages.left_over(reports.len()));
     if !reports.is_empty() && !unshared.is_empty() {
         let names = unshared.join(", ");
         missing.push(format!(

@@ -6,12 +6,13 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use super::args::Args;
+use super::piece::Piece;
 use super::progress;
 use super::sweeps::{Finisher, Sweep};
 use super::track::{Setup, Track};
 use crate::cli::CliError;
 use crate::cli::output::Outputs;
-use crate::cli::play::When;
+use crate::cli::play::{CaptureTime, When};
 use crate::cli::send::Sender;
 use crate::input::{Capture, CaptureError, Pacer, Placed, Speed};
 use crate::streams::{SteadyTime, Streams};
@@ -25,6 +26,8 @@ const STRAY: Duration = Duration::from_secs(1);
 pub(super) struct Playback<'a> {
     pub(super) setup: Setup<'a>,
     pub(super) sender: Option<Sender>,
+    /// What of the capture is written with --pcap.
+    pub(super) piece: Option<Piece>,
     pub(super) streams: Streams<Track<'a>>,
     /// Datagrams of other senders in the rounds before.
     pub(super) others_before: u64,
@@ -72,6 +75,7 @@ impl<'a> Playback<'a> {
                 job: Arc::default(),
             },
             sender: args.play.destination().map(Sender::new),
+            piece: Piece::create(args)?,
             others_before: 0,
             begun: None,
         })
@@ -177,11 +181,15 @@ impl<'a> Playback<'a> {
         };
         let play = &self.setup.args.play;
         // A single time behind --end may be corrupt: two in a row end the round.
-        let since_ns = round.since_start.pass(placed.since_start_ns);
-        if play.when(since_ns) == When::After {
+        let time = CaptureTime::from(&placed);
+        let steady = CaptureTime {
+            since_start_ns: round.since_start.pass(time.since_start_ns),
+            ..time
+        };
+        if play.when(steady) == When::After {
             return self.end(&mut round.read, Ok(()));
         }
-        let when = play.when(placed.since_start_ns);
+        let when = play.when(time);
         match when {
             When::Before => {}
             When::Within => {
@@ -220,6 +228,9 @@ impl<'a> Playback<'a> {
         let admitted = self
             .streams
             .take(placed, |index, sensor| Track::new(setup, index, sensor))?;
+        if let Some(piece) = &mut self.piece {
+            piece.take(placed, when, &admitted)?;
+        }
         if when == When::Within
             && let Some(sender) = &mut self.sender
         {

@@ -230,7 +230,7 @@ impl Stream for Track<'_> {
     type Sweep = Result<Sweep, CliError>;
 
     fn take(&mut self, packet: Option<&Packet<'_>>, placed: &Placed<'_>) {
-        let is_before = self.args.play.when(placed.since_start_ns) == When::Before;
+        let is_before = self.args.play.when(placed.into()) == When::Before;
         let packet = match packet {
             // Also before --start: they have the time.
             Some(packet) if matches!(packet.content, Content::Position(..)) => packet,

@@ -213,7 +213,7 @@ fn emit_angle(angle: f64, degree_digits: usize, positive: &str, negative: &str) 
 }
 
 /// Days since 1970-01-01 of a Gregorian date (years from 1 March, 400-year eras).
-pub(super) fn days_from_civil(year: i64, month: i64, day: i64) -> i64 {
+pub fn days_from_civil(year: i64, month: i64, day: i64) -> i64 {
     let year = if month <= 2 { year - 1 } else { year };
     let era = year.div_euclid(400);
     let year_of_era = year.rem_euclid(400);
