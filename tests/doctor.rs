@@ -816,6 +816,15 @@ fn who_sends_in_place_of_a_sensor_is_told_by_the_daemon_and_beside_it() {
             std::thread::sleep(Duration::from_millis(200));
         };
         assert!(!reasons.contains("powered"), "{reasons}");
+        // A consumer that waits for the first sweep is told so, not that the daemon has ended.
+        let waits = own.root().join("watch.log");
+        let watched = std::fs::File::create(&waits).unwrap();
+        let _watch = Program::start(&["watch", "roof"], &own, Stdio::null(), watched.into());
+        let begun = Instant::now();
+        while !std::fs::read_to_string(&waits).unwrap().contains("roof: no sweep yet for") {
+            assert!(begun.elapsed() < Duration::from_secs(20), "watch says nothing");
+            std::thread::sleep(Duration::from_millis(100));
+        }
         let log = std::fs::read_to_string(&notes).unwrap();
         let plan = Plan {
             health: Some(at),

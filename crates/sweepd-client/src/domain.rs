@@ -417,6 +417,17 @@ mod tests {
     }
 
     #[test]
+    fn who_is_not_the_owner_is_told_how_to_remove_what_an_ended_daemon_left() {
+        let error = |root: &str| {
+            let root = root.into();
+            let (owner, own) = ("root".to_owned(), "ada".to_owned());
+            DomainError::OtherUser { root, owner, own }.to_string()
+        };
+        assert!(error(FALLBACK).contains("`sudo rm -r /tmp/sweepd`"));
+        assert!(error("/var/lib/robot").contains("`sudo rm -r /var/lib/robot`"));
+    }
+
+    #[test]
     fn a_domain_knows_its_own_files() {
         let hash = "9204dd183d1c4d8e1ff592a30766ffa6765aa8b5";
         let (usual, other) = ("sweepd_", "sweepd_07d66707b49cd92d_");

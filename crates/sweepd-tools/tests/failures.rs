@@ -163,11 +163,14 @@ fn every_failure_is_told_by_log_health_and_doctor() {
 }
 
 /// What the daemon rightly says of captures in a loop: a part of their names, and of the words.
-const FAULTS: [(&str, &str); 6] = [
+const FAULTS: [(&str, &str); 8] = [
     // GPS time is that of the recording.
     ("street_", "and packets arrive at"),
     ("vlp16_mrpt-gps", "and packets arrive at"),
     ("street_vlp16_losses", "of its packets are lost"),
+    // In its few turns, which come again and again, a beam does not return.
+    ("hdl32e_mrpt", "has not returned for 1,000 turns"),
+    ("vls128_nebula", "has not returned for 1,000 turns"),
     // It has 1.1 turns, and with them no whole sweep.
     ("vlp16_rlu", "no whole turn at a steady speed"),
     // They are too short for a whole calibration.
