@@ -821,8 +821,14 @@ fn who_sends_in_place_of_a_sensor_is_told_by_the_daemon_and_beside_it() {
         let watched = std::fs::File::create(&waits).unwrap();
         let _watch = Program::start(&["watch", "roof"], &own, Stdio::null(), watched.into());
         let begun = Instant::now();
-        while !std::fs::read_to_string(&waits).unwrap().contains("roof: no sweep yet for") {
-            assert!(begun.elapsed() < Duration::from_secs(20), "watch says nothing");
+        while !std::fs::read_to_string(&waits)
+            .unwrap()
+            .contains("roof: no sweep yet for")
+        {
+            assert!(
+                begun.elapsed() < Duration::from_secs(20),
+                "watch says nothing"
+            );
             std::thread::sleep(Duration::from_millis(100));
         }
         let log = std::fs::read_to_string(&notes).unwrap();

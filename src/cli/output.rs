@@ -107,6 +107,11 @@ impl OutputOptions {
         places.filter(|path| !is_stdout(path)).cloned().collect()
     }
 
+    /// Whether sweeps are written anywhere.
+    pub fn is_any(&self) -> bool {
+        !self.places().is_empty() || self.is_piped()
+    }
+
     /// The options that write to standard output.
     fn piped(&self) -> impl Iterator<Item = &'static str> {
         let files = [("segments", &self.segments), ("raw", &self.raw)];

@@ -5,12 +5,15 @@
 use std::collections::VecDeque;
 use std::net::SocketAddr;
 
-use super::times::{FIRST_NS, JUDGED_AFTER_US, Judge, sensor_us};
+use super::times::{FIRST_NS, JUDGED_AFTER_US, Judge, Verdict, sensor_us};
 use super::{CaptureCounts, CaptureError, Placed};
+use crate::admission::MAX_SENSORS;
 use sweepd_core::wire::Datagram;
 
 /// Most memory of datagrams that are held: a thousand data packets and more.
 const MAX_HELD: usize = 2 << 20;
+/// Times that are so far ahead begin anew, if two in a row are.
+const PAUSE_NS: i64 = 60_000_000_000;
 
 /// A datagram that was read ahead, with the counts up to it.
 pub(super) struct Held {
@@ -76,6 +79,8 @@ pub(super) struct Arrivals {
     /// The first time and the last one, once they are mended.
     pub(super) first_ns: i64,
     pub(super) newest_ns: i64,
+    /// Datagrams in a row up to now that are long behind the newest time.
+    ahead: u32,
 }
 
 impl Arrivals {
@@ -89,6 +94,7 @@ impl Arrivals {
             senders: Vec::new(),
             first_ns: 0,
             newest_ns: 0,
+            ahead: 0,
         }
     }
 
@@ -103,8 +109,8 @@ impl Arrivals {
         self.held_bytes += size_of::<Held>() + placed.datagram.payload.len();
         let is_full = self.held_bytes >= MAX_HELD;
         match self.judge(&placed.datagram) {
-            Some((judge, is_none)) if is_full || judge.passed_us >= JUDGED_AFTER_US => {
-                self.decide(is_none);
+            Some((judge, verdict)) if is_full || judge.passed_us >= JUDGED_AFTER_US => {
+                self.decide(verdict == Verdict::None);
             }
             None if is_full => self.decide(false),
             _ => {}
@@ -117,13 +123,13 @@ impl Arrivals {
         self.decide(false);
     }
 
-    /// The judge of a datagram's sender, after this datagram, and whether the times are none.
-    fn judge(&mut self, datagram: &Datagram<'_>) -> Option<(&Judge, bool)> {
+    /// The judge of a datagram's sender, after this datagram, and what its time is.
+    fn judge(&mut self, datagram: &Datagram<'_>) -> Option<(&Judge, Verdict)> {
         let stamp_us = sensor_us(datagram.payload)?;
         let index = self.sender(datagram.source, datagram.arrival_ns, stamp_us);
         let judge = &mut self.senders[index].1;
-        let is_none = judge.add(datagram.arrival_ns, stamp_us);
-        Some((judge, is_none))
+        let verdict = judge.add(datagram.arrival_ns, stamp_us);
+        Some((judge, verdict))
     }
 
     /// The number of a sender, which begins with this packet if it is new.
@@ -133,6 +139,10 @@ impl Arrivals {
             .iter()
             .position(|(sender, _)| *sender == source);
         known.unwrap_or_else(|| {
+            // More are no sensors: each begins anew.
+            if self.senders.len() == MAX_SENSORS {
+                self.senders.clear();
+            }
             self.senders.push((source, Judge::new(time_ns, stamp_us)));
             self.senders.len() - 1
         })
@@ -191,11 +201,20 @@ impl Arrivals {
     pub(super) fn follow<'a>(&mut self, mut placed: Placed<'a>) -> Placed<'a> {
         let datagram = &placed.datagram;
         if self.times != RecordTimes::Mended {
-            let Some((_, true)) = self.judge(datagram) else {
-                return placed;
-            };
+            let (arrival_ns, stamp_us) = (datagram.arrival_ns, sensor_us(datagram.payload));
+            let first_ns = arrival_ns.saturating_sub(placed.since_start_ns);
+            match self.judge(datagram) {
+                Some((_, Verdict::None)) => {}
+                Some((judge, Verdict::Early)) => {
+                    let clock_ns = judge.clock.at(stamp_us.unwrap_or_default());
+                    placed.datagram.arrival_ns = clock_ns;
+                    placed.since_start_ns = clock_ns.saturating_sub(first_ns);
+                    return placed;
+                }
+                _ => return placed,
+            }
             self.times = RecordTimes::Mended;
-            self.first_ns = datagram.arrival_ns.saturating_sub(placed.since_start_ns);
+            self.first_ns = first_ns;
         } else if self.newest_ns < FIRST_NS && datagram.arrival_ns >= FIRST_NS {
             self.begin(datagram.arrival_ns);
         }
@@ -206,6 +225,14 @@ impl Arrivals {
     /// Gives a datagram the time of its sensor's clock.
     fn mend(&mut self, placed: &mut Placed<'_>) {
         let datagram = &mut placed.datagram;
+        // Behind a pause, and in a file that is joined, the clock of the sensor tells no moment.
+        let is_ahead = datagram.arrival_ns >= FIRST_NS
+            && datagram.arrival_ns.saturating_sub(self.newest_ns) > PAUSE_NS;
+        self.ahead = if is_ahead { self.ahead + 1 } else { 0 };
+        if self.ahead >= 2 {
+            self.senders.clear();
+            self.newest_ns = datagram.arrival_ns;
+        }
         if let Some(stamp_us) = sensor_us(datagram.payload) {
             let index = self.sender(datagram.source, self.newest_ns, stamp_us);
             self.newest_ns = self.senders[index].1.clock.advance(stamp_us);

@@ -164,7 +164,8 @@ impl Input {
             source = Box::new(MultiBzDecoder::new(compressed));
             compression = Some("bzip2");
         } else if magic[..len] == LZ4_MAGIC {
-            source = Box::new(Lz4Decoder::new(source));
+            let compressed = BufReader::with_capacity(BUFFER_LEN, source);
+            source = Box::new(Lz4Frames(Lz4Decoder::new(compressed)));
             compression = Some("lz4");
         }
         Ok(Self::over(source, compression))
@@ -378,6 +379,21 @@ fn comes_from_system(error: &io::Error) -> bool {
         }
     }
     false
+}
+
+/// The frames of an lz4 stream, one after another: joined files have several.
+struct Lz4Frames<R: Read>(Lz4Decoder<R>);
+
+impl<R: BufRead> Read for Lz4Frames<R> {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        loop {
+            let len = self.0.read(bytes)?;
+            // The decoder gives nothing at the end of each frame.
+            if len > 0 || bytes.is_empty() || self.0.get_mut().fill_buf()?.is_empty() {
+                return Ok(len);
+            }
+        }
+    }
 }
 
 /// A zstd stream of any number of frames; ruzstd itself reads one frame.

@@ -23,6 +23,12 @@ fn gzip(bytes: &[u8]) -> Vec<u8> {
     encoder.finish().unwrap()
 }
 
+fn lz4(bytes: &[u8]) -> Vec<u8> {
+    let mut encoder = lz4_flex::frame::FrameEncoder::new(Vec::new());
+    encoder.write_all(bytes).unwrap();
+    encoder.finish().unwrap()
+}
+
 fn zstd(bytes: &[u8]) -> Vec<u8> {
     compress_to_vec(bytes, CompressionLevel::Fastest)
 }
@@ -341,6 +347,7 @@ fn compressed_captures_of_one_or_several_members() {
         [gzip(front), gzip(back)].concat(),
         zstd(&file),
         [zstd(front), skippable, zstd(back)].concat(),
+        [lz4(front), lz4(back)].concat(),
     ] {
         let (all, capture) = datagrams(&compressed).unwrap();
         assert!(all == plain && capture.truncation().is_none());
@@ -492,12 +499,15 @@ fn record_times_that_are_none_give_way_to_the_clock_of_the_sensor() {
 fn record_times_that_go_on_stay() {
     const START_US: u64 = 1_700_000_000_400_000;
     let right = |number: u64| START_US + number * 1000;
-    let cases: [(&str, RecordUs<'_>); 6] = [
+    let cases: [(&str, RecordUs<'_>); 7] = [
         ("burst", &|n| right(n.max(30))),
         ("ticks of Windows", &|n| right(n) / 15_600 * 15_600),
         ("late ones", &|n| right(n ^ 1)),
         ("a corrupt one", &|n| {
             right(n) + u64::from(n == 300) * 9_000_000_000_000
+        }),
+        ("a corrupt first one", &|n| {
+            right(n) + u64::from(n == 0) * 9_000_000_000_000
         }),
         ("old", &|n| right(n) - START_US + 5),
         // Two recordings are joined in the wrong order.

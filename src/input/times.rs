@@ -2,6 +2,8 @@
 //! alone, or lie before 1990, as converters, simulated clocks and machines without a clock write
 //! them. The clock of the sensor tells, and gives the time from one packet to the next.
 
+use std::ops::RangeInclusive;
+
 use sweepd_core::sensor::detect::since;
 use sweepd_core::wire::data::DATA_PACKET_LEN;
 
@@ -13,8 +15,9 @@ pub(super) const FIRST_NS: i64 = 631_152_000 * SECOND_NS;
 pub(super) const JUDGED_AFTER_US: i64 = 40_000;
 /// A longer step from packet to packet is a pause, which says nothing about times.
 const LONGEST_STEP_US: i64 = 20_000;
-/// A time that is so much earlier than the one before was set back.
-const SET_BACK_NS: i64 = SECOND_NS / 2;
+/// A time that is so much earlier than the one before was set back; one that is earlier still is that
+/// of another recording.
+const SET_BACK_NS: RangeInclusive<i64> = SECOND_NS / 2..=1800 * SECOND_NS;
 /// How much earlier a packet may be that comes late.
 const LATE_US: i64 = 100_000;
 /// With a longer step the clock of the sensor was set, or another recording begins.
@@ -56,6 +59,17 @@ impl SensorClock {
     }
 }
 
+/// What the time of a packet is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Verdict {
+    /// A time, as far as is known.
+    Good,
+    /// This one is earlier than it can be; others may be right.
+    Early,
+    /// The times of its sensor are none.
+    None,
+}
+
 /// Whether the times of the packets of a sensor are times.
 #[derive(Debug)]
 pub(super) struct Judge {
@@ -67,6 +81,9 @@ pub(super) struct Judge {
     pub(super) passed_us: i64,
     /// Sensor time since the times last went on.
     stuck_us: i64,
+    /// Packets, and of them those in a row up to now that are too early.
+    packets: u64,
+    early: u32,
 }
 
 impl Judge {
@@ -78,18 +95,25 @@ impl Judge {
             last: clock,
             passed_us: 0,
             stuck_us: 0,
+            packets: 0,
+            early: 0,
         }
     }
 
-    /// Takes the next packet, and says whether times are none by now.
-    pub(super) fn add(&mut self, time_ns: i64, stamp_us: u32) -> bool {
+    /// Takes the next packet.
+    pub(super) fn add(&mut self, time_ns: i64, stamp_us: u32) -> Verdict {
         let step_us = since(self.last.stamp_us, stamp_us);
         let next = SensorClock::new(time_ns, stamp_us);
         let before = std::mem::replace(&mut self.last, next);
         if !(-LATE_US..=LONGEST_US).contains(&step_us) {
             self.clock = next;
-            self.stuck_us = 0;
-            return false;
+            (self.stuck_us, self.early) = (0, 0);
+            return Verdict::Good;
+        }
+        self.packets += 1;
+        // The first one, which began the clock, may be corrupt: the second one is its first neighbour.
+        if self.packets == 2 && time_ns < self.clock.time_ns {
+            self.clock = next;
         }
         // A single late time may be corrupt: of two neighbours the earlier one counts.
         let steady = if time_ns < before.time_ns {
@@ -105,8 +129,15 @@ impl Judge {
         } else {
             self.stuck_us += passed_us;
         }
-        let goes_back =
-            passed_us == step_us && time_ns < self.clock.time_ns.saturating_sub(SET_BACK_NS);
-        goes_back || self.stuck_us >= JUDGED_AFTER_US
+        let back_ns = self.clock.time_ns.saturating_sub(time_ns);
+        let is_early = passed_us == step_us && SET_BACK_NS.contains(&back_ns);
+        self.early = if is_early { self.early + 1 } else { 0 };
+        if self.early >= 2 || self.stuck_us >= JUDGED_AFTER_US {
+            Verdict::None
+        } else if is_early {
+            Verdict::Early
+        } else {
+            Verdict::Good
+        }
     }
 }

@@ -56,7 +56,8 @@ pub(super) fn show_missing(
 
 /// Whether sweeps are wanted, rather than packets.
 fn wants_sweeps(args: &Args) -> bool {
-    args.play.destination().is_none() && args.pcap.is_none()
+    let wants_packets = args.play.destination().is_some() || args.pcap.is_some();
+    !wants_packets || args.objects || args.publish.is_wanted() || args.output.is_any()
 }
 
 fn less_than_a_turn(args: &Args) -> String {

@@ -2,7 +2,7 @@
 //! of its last packet, and the clock of the sensor says how long before it each other came.
 
 use super::scan::Scan;
-use crate::input::times::{FIRST_NS, Judge, SensorClock};
+use crate::input::times::{FIRST_NS, Judge, SensorClock, Verdict};
 
 /// The stamps of a topic so far.
 #[derive(Default)]
@@ -22,7 +22,7 @@ impl Stamps {
         let mut last = None;
         for (stamp_ns, sensor_us) in scan.stamps() {
             let judge = self.judge.get_or_insert(Judge::new(stamp_ns, sensor_us));
-            is_none |= judge.add(stamp_ns, sensor_us);
+            is_none |= judge.add(stamp_ns, sensor_us) == Verdict::None;
             is_old &= stamp_ns < FIRST_NS;
             let stamped = SensorClock::new(stamp_ns, sensor_us);
             self.clock.get_or_insert(stamped);

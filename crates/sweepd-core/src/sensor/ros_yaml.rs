@@ -95,6 +95,8 @@ impl<'de> Deserialize<'de> for Values {
 pub fn parse(text: &str, file: &str) -> Result<Calibration, CalibrationError> {
     let error = match parse_with(text, file, DuplicateKeyPolicy::Error) {
         Ok(calibration) => return Ok(calibration),
+        // Where keys may repeat, values are gathered first, and aliases can make them huge.
+        Err(error) if text.contains('&') => return Err(error),
         Err(error) => error,
     };
     // A key that is there twice with the same value gives the same, whichever counts.
