@@ -205,8 +205,16 @@ pub enum Remark {
 impl Remark {
     /// What pulse and receiver of a model say. An HDL-32E does not report the pulse.
     pub fn of_gps(model: Option<Model>, pps: Pps, fix: Option<bool>) -> Option<Self> {
-        let is_untold = model == Some(Model::Hdl32e) && fix == Some(true);
+        let is_untold = model? == Model::Hdl32e && fix == Some(true);
         (!is_untold).then_some(Self::Gps { pps, fix })
+    }
+
+    /// Whether it is about what changes again and again, which silence does not end.
+    pub fn is_change(&self) -> bool {
+        matches!(
+            self,
+            Self::Restarts { .. } | Self::ClockJumps { .. } | Self::Exchanges { .. }
+        )
     }
 
     /// Whether it is about the same as another one, whatever its numbers.
@@ -390,6 +398,11 @@ fn gps(pps: Pps, fix: Option<bool>) -> Option<Finding> {
             Severity::Note,
             "no GPS receiver is connected: times are of this host's clock".to_owned(),
             "",
+        ),
+        (_, Some(false)) => (
+            Severity::Warning,
+            "the GPS receiver has no fix: times are of this host's clock".to_owned(),
+            "give its antenna a view of the sky",
         ),
         (Pps::Synchronizing, _) => (
             Severity::Note,

@@ -22,6 +22,8 @@ pub struct Interface {
     pub up: bool,
     /// Whether something is at the other end of the cable; `None` if unknown.
     pub carrier: Option<bool>,
+    /// Whether it is a device, rather than one that software made.
+    pub is_device: bool,
     /// Addresses and how many of their bits are those of the net.
     pub addresses: Vec<(Ipv4Addr, u8)>,
 }
@@ -75,13 +77,12 @@ pub fn interfaces() -> Vec<Interface> {
                 up: flags.is_some_and(|flags| flags & 1 != 0),
                 // Reading it fails while the interface is down.
                 carrier: file("carrier").map(|text| text.trim() == "1"),
+                is_device: Path::new(&format!("/sys/class/net/{name}/device")).exists(),
                 addresses: own.map(|(_, address)| *address).collect(),
                 name,
             }
         })
-        .filter(|one: &Interface| {
-            one.up || Path::new(&format!("/sys/class/net/{}/device", one.name)).exists()
-        })
+        .filter(|one: &Interface| one.up || one.is_device)
         .collect();
     interfaces.sort_by(|a, b| a.name.cmp(&b.name));
     interfaces
@@ -118,10 +119,7 @@ pub fn wiring(
         (None, None) => true,
     };
     let is_known = interfaces.iter().any(is_on_the_way);
-    let on_the_way = interfaces
-        .iter()
-        .filter(|one| !is_known || is_on_the_way(one));
-    let mut causes: Vec<Cause> = on_the_way.filter_map(Interface::trouble).collect();
+    let mut causes = Vec::new();
     if let Some(sensor) = sensor
         && !interfaces.iter().any(|one| one.reaches(sensor))
     {
@@ -133,6 +131,12 @@ pub fn wiring(
             ),
         });
     }
+    // Where none is known to be on the way, a cable may be in any.
+    let on_the_way = (interfaces.iter()).filter(|one| match is_known {
+        true => is_on_the_way(one),
+        false => one.is_device,
+    });
+    causes.extend(on_the_way.filter_map(Interface::trouble));
     causes
 }
 
@@ -272,6 +276,7 @@ mod tests {
             name: name.to_owned(),
             up: true,
             carrier: Some(carrier),
+            is_device: name.starts_with("eth"),
             addresses: vec![(host.into(), 24)],
         };
         let good = interface("eth0", [192, 168, 1, 100], true);
@@ -283,11 +288,12 @@ mod tests {
                 .what
                 .contains("eth1 has no carrier")
         );
-        let elsewhere = wiring(&both[1..], Some(sensor), None);
+        let docker = interface("docker0", [172, 17, 0, 1], false);
+        let elsewhere = wiring(&[docker, both[1].clone()], Some(sensor), None);
         let whats = elsewhere.iter().map(|cause| &cause.what[..]);
         let expected = [
-            "interface eth1 has no carrier",
             "this host has no address in the net of 192.168.1.201",
+            "interface eth1 has no carrier",
         ];
         assert!(whats.eq(expected), "{elsewhere:?}");
     }

@@ -748,6 +748,22 @@ fn beside_a_daemon_the_doctor_and_watch_say_how_it_is_now() {
         .filter(|line| line.ends_with('\n'))
         .collect();
     assert!(whole.len() > 50);
+    // The newest sweep stays shared: who comes later is told how old it is.
+    std::thread::sleep(Duration::from_millis(2_500));
+    let late = own.root().join("late.log");
+    let stderr = std::fs::File::create(&late).unwrap();
+    let _watch = Program::start(&["watch", "roof"], &own, Stdio::null(), stderr.into());
+    let begun = Instant::now();
+    while !std::fs::read_to_string(&late)
+        .unwrap()
+        .contains("s old: the sensor does not send")
+    {
+        assert!(
+            begun.elapsed() < Duration::from_secs(20),
+            "watch says nothing"
+        );
+        std::thread::sleep(Duration::from_millis(100));
+    }
     whole
         .iter()
         .for_each(|line| drop(serde_json::from_str::<Value>(line).unwrap()));

@@ -391,6 +391,11 @@ impl SensorCounters {
         self.eye.store(header.flags & flags::NOT_SEEING, Relaxed);
     }
 
+    /// The sensor is looked at anew.
+    pub fn forget_eye(&self) {
+        self.eye.store(0, Relaxed);
+    }
+
     /// Bits of [`flags::NOT_SEEING`], from the newest sweep.
     pub fn eye(&self) -> u32 {
         self.eye.load(Relaxed)

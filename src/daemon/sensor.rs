@@ -177,7 +177,12 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
             // From another port it comes without the text of its sentence.
             let fix = rmc.as_ref().map(|rmc| rmc.valid);
             let fix = fix.or(position.nmea.map(|_| false));
-            self.counters.set_pulse(position.pps, fix);
+            // Where the pulse is not asked for, the sentence vouches for it.
+            let pps = match without_pps && fix == Some(true) {
+                true => Pps::Locked,
+                false => position.pps,
+            };
+            self.counters.set_pulse(pps, fix);
             let gps = gps_of(position, rmc.as_ref(), without_pps);
             self.counters.set_gps(self.believed(gps));
             if let Some(temperature_c) = temperature_of(position) {
@@ -264,6 +269,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         self.counted += before.status().counts;
         // They are counted anew.
         self.counters.set_dark_beams(iter::empty());
+        self.counters.forget_eye();
         self.floor = FloorFinder::new(config.segment.mount);
         self.told_floor = Sight::Unknown;
         self.config = config;

@@ -49,18 +49,17 @@ impl Silence {
     }
 
     fn look_at_network(&mut self, now: Duration) {
+        if self.earlier.is_some_and(|(at, _)| now - at < SPAN) {
+            return;
+        }
+        self.interfaces = interfaces();
         let Some(counted) = Drops::read() else {
             return;
         };
-        match self.earlier {
-            Some((at, _)) if now - at < SPAN => return,
-            Some((at, earlier)) => {
-                self.recent = Some(((now - at).as_secs_f64(), counted.since(&earlier)));
-            }
-            None => {}
+        if let Some((at, earlier)) = self.earlier {
+            self.recent = Some(((now - at).as_secs_f64(), counted.since(&earlier)));
         }
         self.earlier = Some((now, counted));
-        self.interfaces = interfaces();
     }
 
     /// The likeliest cause.
@@ -82,14 +81,15 @@ impl Silence {
             IpAddr::V4(address) if !address.is_loopback() => address,
             _ => return None,
         };
-        if let Some((seconds, drops)) = self.recent
-            && let Some(cause) = drops.cause(seconds, Some(address))
-        {
-            return Some(cause);
-        }
         let alone = runtime.ports[sensor.port_index].interface.as_deref();
-        wiring(&self.interfaces, Some(address), alone)
+        let wire = wiring(&self.interfaces, Some(address), alone)
             .into_iter()
-            .next()
+            .next();
+        // What the kernel drops may be another's; an interface that the packets must take is not.
+        let is_certain = alone.is_some() || self.interfaces.iter().any(|one| one.reaches(address));
+        let dropped = (self.recent)
+            .filter(|_| wire.is_none() || !is_certain)
+            .and_then(|(seconds, drops)| drops.cause(seconds, Some(address)));
+        dropped.or(wire)
     }
 }

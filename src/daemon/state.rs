@@ -350,7 +350,9 @@ impl Watcher {
             (State::NoCalibration, _) => vec![no_calibration()],
             (State::SpinningUp | State::WrongModel, _) => vec![no_sweep()],
         };
-        all.extend(self.remarks.iter().filter_map(Remark::finding));
+        let is_silent = matches!(self.state, State::Waiting | State::Stalled);
+        let remarks = (self.remarks.iter()).filter(|one| !is_silent || one.is_change());
+        all.extend(remarks.filter_map(Remark::finding));
         all
     }
 
@@ -434,6 +436,8 @@ impl Watcher {
         let facts = &now.facts;
         let mut remarks = self.changes.observe(now);
         if matches!(self.state, State::Waiting | State::Stalled) {
+            // Silence says neither that they hold nor that they are over.
+            remarks.extend(self.remarks.iter().filter(|one| !one.is_change()));
             return remarks;
         }
         remarks.extend(self.calibration);

@@ -285,8 +285,8 @@ impl Capture {
         }
     }
 
-    /// What people should know of the times so far: what stands for those that are none. They
-    /// would stand still, go back, have whole seconds alone, or lie before 1990.
+    /// What people should know of the times so far: which are none, and what
+    /// stands for them.
     pub fn remark(&self) -> Option<&'static str> {
         match &self.reader {
             Reader::Frames(frames) => match frames.arrivals.times {
@@ -301,7 +301,7 @@ impl Capture {
             },
             Reader::Bag(bag) if bag.is_restamped() => Some(
                 "stamps of its packets stand still, go back, have whole seconds alone or lie before 1990: the times at which the bag \
-                 recorded the messages are taken, with the sensor's clock between them",
+                 recorded the messages are taken where they go on, with the sensor's clock between them",
             ),
             Reader::Bag(_) => None,
             Reader::Payloads(_) => Some(

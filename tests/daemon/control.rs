@@ -10,7 +10,7 @@ use sweepd::wire::data::ReturnMode;
 use sweepd_lab::testkit::stream::blank;
 
 use crate::child::{Daemon, is_free, write};
-use crate::rig::{Sending, cool_stream_without_gps, free_port, stream, until};
+use crate::rig::{Sending, cool_stream_without_gps, free_port, stream, stream_without_gps, until};
 
 /// Half of it is how long a thread may get no core before it counts as one that hangs.
 const WATCHDOG: Duration = Duration::from_secs(8);
@@ -338,7 +338,7 @@ fn health_tells_a_beam_that_does_not_return_and_forgets_it_when_it_does() {
     let port = free_port();
     let mut daemon = Daemon::start(&[[83, port, port]], free_port(), WATCHDOG);
     daemon.until_ready();
-    let mut sent = stream(Model::Vlp16, ReturnMode::Strongest, 120.0);
+    let mut sent = stream_without_gps(Model::Vlp16, ReturnMode::Strongest, 120.0);
     let until_turn_50 = Duration::from_secs(5);
     for one in sent
         .iter_mut()

@@ -7,7 +7,7 @@ use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode;
 
 use crate::child::Daemon;
-use crate::rig::{Sending, Sent, free_port, stream, until};
+use crate::rig::{Sending, Sent, free_port, stream_without_gps, until};
 
 const SINGLE: ReturnMode = ReturnMode::Strongest;
 /// How far the clocks of two sensors are apart.
@@ -32,7 +32,7 @@ fn daemon<const N: usize>(hosts: [u16; N]) -> (Daemon, [u16; N]) {
 /// time.
 fn lossy(seconds: f64, percent: u8, before: Duration) -> Vec<Sent> {
     let mut rng = fastrand::Rng::with_seed(percent.into());
-    let mut sent = stream(Model::Vlp16, SINGLE, seconds * 10.0);
+    let mut sent = stream_without_gps(Model::Vlp16, SINGLE, seconds * 10.0);
     sent.retain(|sent| !sent.is_data || sent.after >= before || rng.u8(..100) >= percent);
     sent
 }
@@ -146,8 +146,8 @@ fn a_loss_of_half_and_more_is_a_fault() {
 fn a_second_sensor_at_one_address_is_reported_for_the_same_model_and_for_another() {
     let (daemon, ports) = daemon([104, 105]);
     let (vlp16, hdl32e) = (
-        stream(Model::Vlp16, SINGLE, 100.0),
-        stream(Model::Hdl32e, SINGLE, 100.0),
+        stream_without_gps(Model::Vlp16, SINGLE, 100.0),
+        stream_without_gps(Model::Hdl32e, SINGLE, 100.0),
     );
     // Its clock is 0.37 s ahead.
     let mut ahead: Vec<Sent> = vlp16
@@ -182,7 +182,11 @@ fn a_second_sensor_at_one_address_is_reported_for_the_same_model_and_for_another
 #[test]
 fn losses_by_this_hosts_kernel_have_this_host_as_their_cause() {
     let (daemon, [port]) = daemon([106]);
-    let _sending = sending(106, port, stream(Model::Vls128, ReturnMode::Dual, 130.0));
+    let _sending = sending(
+        106,
+        port,
+        stream_without_gps(Model::Vls128, ReturnMode::Dual, 130.0),
+    );
     until("it is judged", || {
         daemon.health().1["sensors"][0]["losses"]["percent"] == 0.0
     });
@@ -202,7 +206,7 @@ fn losses_by_this_hosts_kernel_have_this_host_as_their_cause() {
 #[test]
 fn many_datagrams_of_another_program_at_the_address_are_reported() {
     let (daemon, [port]) = daemon([107]);
-    let _sending = sending(107, port, stream(Model::Vlp16, SINGLE, 120.0));
+    let _sending = sending(107, port, stream_without_gps(Model::Vlp16, SINGLE, 120.0));
     until("it is judged", || {
         daemon.health().1["sensors"][0]["losses"]["percent"] == 0.0
     });

@@ -210,17 +210,16 @@ pub fn stream(model: Model, mode: ReturnMode, turns: f64) -> Vec<Sent> {
     )
 }
 
+/// The same without a GPS receiver: what arrives later than it was made is no clock that is off.
+pub fn stream_without_gps(model: Model, mode: ReturnMode, turns: f64) -> Vec<Sent> {
+    let hour_ns = 7_000_000_000;
+    stream_by(model, mode, turns, Clock::Free { hour_ns })
+}
+
 /// What a VLP-16 without a GPS receiver sends, whose boards have 20 degrees Celsius, for so many
 /// turns.
 pub fn cool_stream_without_gps(turns: f64) -> Vec<Sent> {
-    let mut stream = stream_by(
-        Model::Vlp16,
-        ReturnMode::Strongest,
-        turns,
-        Clock::Free {
-            hour_ns: 7_000_000_000,
-        },
-    );
+    let mut stream = stream_without_gps(Model::Vlp16, ReturnMode::Strongest, turns);
     for sent in stream.iter_mut().filter(|sent| !sent.is_data) {
         // Where the packet tells the temperatures of its boards.
         sent.payload[0x0BB..0x0BD].fill(20);

@@ -7,7 +7,7 @@ use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode;
 
 use crate::child::{Daemon, write};
-use crate::rig::{Sending, Sent, free_port, stream, until};
+use crate::rig::{Sending, Sent, free_port, stream_without_gps, until};
 
 const WATCHDOG: Duration = Duration::from_secs(8);
 
@@ -19,7 +19,7 @@ fn daemon(host: u16) -> (Daemon, u16) {
 }
 
 fn vlp16(turns: f64) -> Vec<Sent> {
-    stream(Model::Vlp16, ReturnMode::Strongest, turns)
+    stream_without_gps(Model::Vlp16, ReturnMode::Strongest, turns)
 }
 
 /// The findings of /health with these words.

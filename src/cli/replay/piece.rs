@@ -20,6 +20,8 @@ use crate::input::Placed;
 use crate::text::count_of;
 use sweepd_core::wire::{DATA_PORT, Datagram};
 
+/// Most packets of the opening, though times stand still.
+const MAX_OPENING: usize = 16_384;
 /// A sensor that is silent for less closes no sweep, nanoseconds.
 const SILENCE_NS: i64 = 100_000_000;
 /// Address of the first sensor of a bag, which has none: that of a new Velodyne. Others follow.
@@ -141,8 +143,9 @@ impl Piece {
             Some((_, first)) => first.datagram.arrival_ns,
             None => datagram.arrival_ns,
         };
-        let is_opening =
-            self.written_ns.is_none() && datagram.arrival_ns.abs_diff(begun_ns) < SILENCE_NS as u64;
+        let is_opening = self.written_ns.is_none()
+            && self.opening.len() < MAX_OPENING
+            && datagram.arrival_ns.abs_diff(begun_ns) < SILENCE_NS as u64;
         if is_opening {
             self.opening.push((sensor, Kept::new(datagram)));
             return Ok(());

@@ -491,6 +491,19 @@ fn a_given_model_against_the_factory_byte_is_a_warning_that_names_the_line_to_ch
     assert_eq!((is.state, is.is_fault), (State::Streaming, false));
     assert!(is.complaint.unwrap().contains("Puck Hi-Res"));
     assert!(is.findings[0].cure.contains("`model = \"puck-hires\"`"));
+    // Silence does not say that it is over.
+    let told = roof.observe(50, 0, 0);
+    assert!(
+        told.len() == 1 && told[0].contains("came before"),
+        "{told:?}"
+    );
+    assert!(!roof.watcher.complaint().unwrap().contains("factory byte"));
+    let told = roof.observe(20, 75, 1);
+    assert!(
+        told.iter().all(|one| !one.contains("factory byte")),
+        "{told:?}"
+    );
+    assert!(roof.watcher.complaint().unwrap().contains("factory byte"));
     roof.seen.facts.other_product = None;
     assert!(roof.observe(5, 75, 1)[0].contains("this is over"));
     assert_eq!(roof.watcher.complaint(), None);

@@ -138,7 +138,8 @@ fn nothing(seen: &Observations, expected: Option<&ExpectedSensor>, findings: &mu
         None => seen.web.first(),
     };
     let address = expected.map(|expected| expected.address);
-    let mut steps = cure_of_silence(seen, &seen.port_list(), address, web);
+    let port = expected.map(|expected| expected.port);
+    let mut steps = cure_of_silence(seen, &seen.port_list(), port, address, web);
     if let Some(cause) = expected.and_then(|expected| instead(seen, expected)) {
         what += &format!(", but {}", cause.what);
         // It may be another's: then the other steps are left.
@@ -194,9 +195,12 @@ pub(super) fn beside(seen: &Observations, health: &Value, mut finding: Finding) 
     };
     let address = sensor["address"].as_str();
     let address: Option<IpAddr> = address.and_then(|text| text.parse().ok());
-    let port = sensor["port"].to_string();
+    let port = sensor["port"]
+        .as_u64()
+        .and_then(|port| u16::try_from(port).ok());
+    let ports = sensor["port"].to_string();
     let web = address.and_then(|address| seen.web_at(address));
-    let mut steps = cure_of_silence(seen, &port, address, web);
+    let mut steps = cure_of_silence(seen, &ports, port, address, web);
     // The daemon asks where it knows no cause.
     if !finding.cure.ends_with('?') {
         steps.insert(0, finding.cure);
@@ -210,9 +214,13 @@ pub(super) fn beside(seen: &Observations, health: &Value, mut finding: Finding) 
 fn cure_of_silence(
     seen: &Observations,
     ports: &str,
+    port: Option<u16>,
     address: Option<IpAddr>,
     web: Option<&Web>,
 ) -> Vec<String> {
+    // Of the port that the sensor sends to; of any where that is not known.
+    let mut listened =
+        (seen.ports.iter()).filter(|one| port.is_none_or(|port| one.plan.port == port));
     let mut steps = Vec::new();
     let page = match web {
         Some(Web { address, .. }) => {
@@ -223,9 +231,14 @@ fn cure_of_silence(
         }
         None => {
             steps.push("check that the sensor has power and its cable is plugged in".to_owned());
-            let mut alone = seen.ports.iter().map(|port| port.plan.interface.as_deref());
             let address = address.and_then(ipv4_of);
-            let causes = wiring(&seen.host.interfaces, address, alone.next().flatten());
+            let causes = wiring(
+                &seen.host.interfaces,
+                address,
+                listened
+                    .next()
+                    .and_then(|port| port.plan.interface.as_deref()),
+            );
             steps.extend(causes.iter().map(Cause::to_string));
             "the sensor's web page".to_owned()
         }

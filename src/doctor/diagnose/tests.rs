@@ -89,6 +89,7 @@ fn healthy() -> Observations {
         name: "eth0".to_owned(),
         up: true,
         carrier: Some(true),
+        is_device: true,
         addresses: vec![(OWN, 24)],
     };
     Observations {
@@ -924,6 +925,12 @@ fn clocks_are_looked_at() {
         Severity::Warning,
         Topic::Clock,
         &["pulse per second is absent", "PPS"],
+    );
+    with(
+        gps(Pps::Absent, Some(false)),
+        Severity::Warning,
+        Topic::Clock,
+        &["has no fix", "view of the sky"],
     );
     with(
         gps(Pps::Locked, Some(false)),

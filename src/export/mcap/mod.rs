@@ -121,9 +121,7 @@ impl Topic {
         let id = id.map_err(|_| McapError::TooManyChannels)?;
         writer.add_channel_with_id(id, schema, &self.name(sensor), "cdr", &metadata.into())
     }
-}
 
-impl Topic {
     fn contents(&self, sensor: &str, channel: &Channel) -> TopicContents {
         TopicContents {
             name: self.name(sensor),
