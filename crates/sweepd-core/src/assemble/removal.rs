@@ -122,7 +122,7 @@ pub struct Remover {
     pub removed: u64,
     /// Rows, a bit each, of which returns were removed since [`Remover::begin`].
     pub rows: u128,
-    /// The same of the [`SECTORS`].
+    /// The same of the sectors.
     pub sectors: u32,
     /// How many were removed since.
     pub taken: u32,
