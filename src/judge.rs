@@ -130,6 +130,17 @@ impl fmt::Display for Finding {
 /// Greatest error of a clock, seconds: beyond it, times no longer fit those of other sensors.
 pub const CLOCK_OFF_S: f64 = 0.1;
 
+/// What can change again and again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Change {
+    /// Its clock began anew after a silence.
+    Restart,
+    /// Its clock jumped while packets came.
+    ClockJump,
+    /// Its packets became those of another model.
+    Exchange,
+}
+
 /// A fact about a sensor that the daemon and the doctor both find out.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Remark {
@@ -155,22 +166,10 @@ pub enum Remark {
         /// The one in use, metres.
         used_m: f64,
     },
-    /// Its clock began anew after a silence.
-    Restarts {
-        /// How often.
-        times: usize,
-        /// In which time.
-        within: Duration,
-    },
-    /// Its clock jumped while packets came.
-    ClockJumps {
-        /// How often.
-        times: usize,
-        /// In which time.
-        within: Duration,
-    },
-    /// Its packets became those of another model.
-    Exchanges {
+    /// It changed, again and again.
+    Changes {
+        /// What did.
+        change: Change,
         /// How often.
         times: usize,
         /// In which time.
@@ -211,15 +210,15 @@ impl Remark {
 
     /// Whether it is about what changes again and again, which silence does not end.
     pub fn is_change(&self) -> bool {
-        matches!(
-            self,
-            Self::Restarts { .. } | Self::ClockJumps { .. } | Self::Exchanges { .. }
-        )
+        matches!(self, Self::Changes { .. })
     }
 
     /// Whether it is about the same as another one, whatever its numbers.
     fn is_like(&self, other: &Self) -> bool {
-        discriminant(self) == discriminant(other)
+        match (self, other) {
+            (Self::Changes { change, .. }, Self::Changes { change: other, .. }) => change == other,
+            _ => discriminant(self) == discriminant(other),
+        }
     }
 
     /// Whether it is told that something is wrong, and it was not told before.
@@ -275,9 +274,11 @@ impl Remark {
             Self::OtherCalibration { .. } | Self::ExchangedUnit | Self::MistakenUnit { .. } => {
                 self.of_calibration()
             }
-            Self::Restarts { .. } | Self::ClockJumps { .. } | Self::Exchanges { .. } => {
-                self.of_one_that_changes()
-            }
+            Self::Changes {
+                change,
+                times,
+                within,
+            } => changes(change, times, within),
         };
         let severity = match self {
             Self::Dropped { is_fault: true, .. } => Severity::Error,
@@ -312,44 +313,32 @@ impl Remark {
         };
         (Topic::Calibration, what, cure.to_owned())
     }
+}
 
-    /// How often it changed, and the cure.
-    fn of_one_that_changes(&self) -> (Topic, String, String) {
-        let often = |times: usize, within: Duration| {
-            let minutes = within.as_secs() / 60;
-            let times = count_of(times as u64, "time");
-            format!("{times} in the last {}", count_of(minutes, "minute"))
-        };
-        let (topic, what, cure) = match *self {
-            Self::Restarts { times, within } => (
-                Topic::Sensor,
-                format!(
-                    "it restarted {}: its clock began anew after a silence",
-                    often(times, within)
-                ),
-                "look at its supply, which must hold while the motor starts, at the plugs of its interface box, and whether it is too hot",
-            ),
-            Self::ClockJumps { times, within } => (
-                Topic::Clock,
-                format!(
-                    "its clock jumped {}, while packets came",
-                    often(times, within)
-                ),
-                "look at the GPS receiver and the wire of its pulse; if there is none, a replay or a second sensor sends from its \
-                 address, too",
-            ),
-            Self::Exchanges { times, within } => (
-                Topic::Model,
-                format!(
-                    "its packets became those of another model {}",
-                    often(times, within)
-                ),
-                "two sensors send from one address: give each its own, or stop the replay or simulator that is one of them",
-            ),
-            _ => (Topic::Sensor, String::new(), ""),
-        };
-        (topic, what, cure.to_owned())
-    }
+/// How often a sensor changed, and the cure.
+fn changes(change: Change, times: usize, within: Duration) -> (Topic, String, String) {
+    let times = count_of(times as u64, "time");
+    let minutes = count_of(within.as_secs() / 60, "minute");
+    let often = format!("{times} in the last {minutes}");
+    let (topic, what, cure) = match change {
+        Change::Restart => (
+            Topic::Sensor,
+            format!("it restarted {often}: its clock began anew after a silence"),
+            "look at its supply, which must hold while the motor starts, at the plugs of its interface box, and whether it is too hot",
+        ),
+        Change::ClockJump => (
+            Topic::Clock,
+            format!("its clock jumped {often}, while packets came"),
+            "look at the GPS receiver and the wire of its pulse; if there is none, a replay or a second sensor sends from its \
+             address, too",
+        ),
+        Change::Exchange => (
+            Topic::Model,
+            format!("its packets became those of another model {often}"),
+            "two sensors send from one address: give each its own, or stop the replay or simulator that is one of them",
+        ),
+    };
+    (topic, what, cure.to_owned())
 }
 
 /// What a sensor does not see by bits of the header's flags, the worst first.

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use super::Observation;
-use crate::judge::{CLOCK_OFF_S, Remark};
+use crate::judge::{CLOCK_OFF_S, Change, Remark};
 use sweepd_core::sensor::Model;
 
 /// How long a change is remembered.
@@ -33,14 +33,26 @@ impl Changes {
         let is_exchanged = self.model.is_some() && model != self.model;
         self.model = model;
         let exchanges = self.exchanges.count + u64::from(is_exchanged);
+        let seen_so_far = [
+            (Change::Restart, &mut self.restarts, seen.facts.restarts),
+            (Change::Exchange, &mut self.exchanges, exchanges),
+            (
+                Change::ClockJump,
+                &mut self.clock_jumps,
+                seen.facts.clock_jumps,
+            ),
+        ];
         let within = RECENTLY;
-        let restarts = self.restarts.observe(seen.now, seen.facts.restarts);
-        let exchanges = self.exchanges.observe(seen.now, exchanges);
-        let clock_jumps = self.clock_jumps.observe(seen.now, seen.facts.clock_jumps);
         let mut remarks = Vec::new();
-        remarks.extend(restarts.map(|times| Remark::Restarts { times, within }));
-        remarks.extend(exchanges.map(|times| Remark::Exchanges { times, within }));
-        remarks.extend(clock_jumps.map(|times| Remark::ClockJumps { times, within }));
+        for (change, recurrence, count) in seen_so_far {
+            if let Some(times) = recurrence.observe(seen.now, count) {
+                remarks.push(Remark::Changes {
+                    change,
+                    times,
+                    within,
+                });
+            }
+        }
         remarks
     }
 }
