@@ -106,7 +106,7 @@ impl Peer {
     /// What it says first that `is_it`; what it says before is lost.
     pub fn wait_for(&mut self, what: &str, is_it: impl Fn(&Said) -> bool) -> Said {
         let begun = Instant::now();
-        while begun.elapsed() < PATIENCE {
+        while begun.elapsed() < 3 * PATIENCE {
             if let Some(said) = self.next(Duration::from_millis(100))
                 && is_it(&said)
             {
@@ -116,7 +116,7 @@ impl Peer {
         panic!(
             "{}",
             self.process
-                .failure(format!("{PATIENCE:?} passed before {what}"))
+                .failure(format!("{:?} passed before {what}", 3 * PATIENCE))
         );
     }
 
