@@ -15,6 +15,6 @@ def generate_launch_description():
             name="sweepd",
             parameters=[{"stamp": "first", "roof.frame_id": "lidar_top"}],
             remappings=[("~/roof/points", "/velodyne_points")],
-            respawn=True,
+            # Not respawned: it waits for the daemon itself, and wrong parameters stay wrong.
         ),
     ])

@@ -62,6 +62,10 @@ fn what_comes_goes_or_dies_stops_nothing() {
             "front.organized:=true",
             "-r",
             "~/front/points:=/velodyne_points",
+            "-r",
+            "~/rear/points:=/velodyne_points",
+            "-p",
+            "camera.rate:=30",
         ],
     );
     let jazzy = |wanted: &Value| Peer::ros("SWEEPD_JAZZY", DDS_DOMAIN, wanted);
@@ -120,6 +124,14 @@ fn what_comes_goes_or_dies_stops_nothing() {
     assert_eq!(cloud.line["height"], 16, "{}", cloud.line);
     assert_eq!(cloud.line["is_dense"], false, "{}", cloud.line);
     drop(of_front);
+    let log = bridge.log();
+    for told in [
+        "unknown parameter `camera.rate`",
+        "the rule `~/rear/points:=/velodyne_points` renames nothing",
+    ] {
+        assert!(log.contains(told), "{told}: {log}");
+    }
+    assert!(!log.contains("`~/front/points"), "{log}");
 
     // A subscriber that dies and starts again.
     peer.process.signal(Signal::KILL).unwrap();

@@ -64,6 +64,11 @@ impl Topic {
         }
     }
 
+    /// Its name for the sensor whose token this is, before rules for names.
+    pub fn of(self, token: &str) -> String {
+        format!("~/{token}/{}", self.name())
+    }
+
     /// Its messages.
     pub fn message_type(self) -> &'static MessageType {
         match self {

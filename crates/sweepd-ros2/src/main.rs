@@ -6,6 +6,8 @@ mod bridge;
 mod health;
 mod names;
 mod parameters;
+#[cfg(test)]
+mod rcl;
 mod ros_args;
 mod transforms;
 
@@ -30,7 +32,7 @@ use crate::bridge::{Bridge, Seen, Topic};
 use crate::health::Diagnostics;
 use crate::names::{NodeName, Remap, token};
 use crate::parameters::Parameters;
-use crate::ros_args::{RosArgs, Source};
+use crate::ros_args::RosArgs;
 use crate::transforms::Transforms;
 
 /// Between looks for a signal.
@@ -39,6 +41,10 @@ const LOOK_EVERY: Duration = Duration::from_millis(50);
 const SEARCH_EVERY: Duration = Duration::from_millis(500);
 /// Between messages of `/diagnostics`.
 const DIAGNOSE_EVERY: Duration = Duration::from_secs(1);
+
+/// The topics beside those of the sensors.
+const DIAGNOSTICS: &str = "/diagnostics";
+const TF_STATIC: &str = "/tf_static";
 
 /// Exit code where only other parameters help, so that a supervisor need not retry (sysexits.h).
 const EX_CONFIG: u8 = 78;
@@ -67,9 +73,11 @@ fn main() -> ExitCode {
 }
 
 fn run(args: &Args, ros: &RosArgs) -> Result<(), Failure> {
-    let namespace = ros.namespace.as_ref().unwrap_or(&args.namespace);
-    let name = NodeName::new(namespace, ros.node.as_ref().unwrap_or(&args.node));
-    let parameters = read_parameters(args, ros, &name)?;
+    let name = NodeName::remapped(&args.namespace, &args.node, &ros.remaps);
+    let parameters = Parameters::of_command_line(args, ros, &name).map_err(Failure::config)?;
+    for ignored in &parameters.ignored {
+        log::warn(format_args!("{ignored}"));
+    }
     let environment = Environment::from_env().map_err(Failure::config)?;
     let over = end_flag().map_err(|error| Failure::cannot("handle signals", &error))?;
     let node = Node::new(&environment, &name.namespace, &name.name)?;
@@ -84,11 +92,13 @@ fn run(args: &Args, ros: &RosArgs) -> Result<(), Failure> {
         "" => None,
         base => {
             let durability = Durability::TransientLocal;
-            let publisher = node.publisher("/tf_static", &TF_MESSAGE, durability)?;
+            let topic = name.remapped_topic(TF_STATIC, &ros.remaps);
+            let publisher = node.publisher(&topic, &TF_MESSAGE, durability)?;
             Some(Transforms::new(publisher, base))
         }
     };
-    let diagnostics = node.publisher("/diagnostics", &DIAGNOSTIC_ARRAY, Durability::Volatile)?;
+    let topic = name.remapped_topic(DIAGNOSTICS, &ros.remaps);
+    let diagnostics = node.publisher(&topic, &DIAGNOSTIC_ARRAY, Durability::Volatile)?;
     std::thread::scope(|scope| {
         let sensors = Sensors {
             scope,
@@ -101,6 +111,7 @@ fn run(args: &Args, ros: &RosArgs) -> Result<(), Failure> {
             over: &over,
             bridges: BTreeMap::new(),
             refused: BTreeSet::new(),
+            remaps_are_told: false,
         };
         let watched = sensors.watch(Diagnostics::new(diagnostics, parameters.health));
         // After an error too, or the threads would go on.
@@ -138,25 +149,6 @@ impl From<NodeError> for Failure {
     }
 }
 
-fn read_parameters(args: &Args, ros: &RosArgs, node: &NodeName) -> Result<Parameters, Failure> {
-    let mut parameters = Parameters::default();
-    let file = args.parameters.clone().map(Source::File);
-    for source in file.iter().chain(&ros.parameters) {
-        let taken = match source {
-            Source::File(path) => parameters.read(path, node),
-            Source::One(name, value) => parameters.set(name, value),
-        };
-        taken.map_err(Failure::config)?;
-    }
-    if !args.sensors.is_empty() {
-        parameters.sensors.clone_from(&args.sensors);
-    }
-    if args.root.is_some() {
-        parameters.root.clone_from(&args.root);
-    }
-    Ok(parameters)
-}
-
 /// A flag that is set when the program must end; a second signal ends it at once.
 fn end_flag() -> io::Result<Arc<AtomicBool>> {
     let over = Arc::new(AtomicBool::new(false));
@@ -181,6 +173,7 @@ struct Sensors<'scope, 'env> {
     bridges: BTreeMap<String, Arc<Bridge>>,
     /// Sensors whose token another one has.
     refused: BTreeSet<String>,
+    remaps_are_told: bool,
 }
 
 impl Sensors<'_, '_> {
@@ -197,6 +190,10 @@ impl Sensors<'_, '_> {
                 searched = Some(Instant::now());
                 self.search(&mut trouble)?;
             }
+            if !self.bridges.is_empty() && !self.remaps_are_told {
+                self.remaps_are_told = true;
+                self.tell_remaps();
+            }
             if diagnosed.elapsed() >= DIAGNOSE_EVERY {
                 diagnosed += DIAGNOSE_EVERY;
                 diagnostics.publish(self.domain, self.bridges.values().map(|bridge| &**bridge));
@@ -204,6 +201,26 @@ impl Sensors<'_, '_> {
             std::thread::sleep(LOOK_EVERY);
         }
         Ok(())
+    }
+
+    /// Warns of the rules that rename nothing, once the first sensors are there.
+    fn tell_remaps(&self) {
+        let tokens = self.bridges.keys();
+        let mut topics: Vec<String> = tokens
+            .flat_map(|token| Topic::ALL.map(|topic| topic.of(token)))
+            .collect();
+        topics.extend([TF_STATIC.to_owned(), DIAGNOSTICS.to_owned()]);
+        for remap in self.remaps {
+            let moves = |topic: &String| self.name.moves(remap, topic);
+            if !self.name.is_renamed_by(remap) && !topics.iter().any(moves) {
+                log::warn(format_args!(
+                    "the rule `{}` renames nothing: the node is {}, its topics are {}",
+                    remap.rule,
+                    self.name.full(),
+                    topics.join(", ")
+                ));
+            }
+        }
     }
 
     /// Adds the sensors that are new. A trouble is told once.
@@ -238,8 +255,7 @@ impl Sensors<'_, '_> {
         let publishers: Result<Vec<Publisher>, NodeError> = Topic::ALL
             .iter()
             .map(|topic| {
-                let name = format!("~/{token}/{}", topic.name());
-                let name = self.name.remapped(&name, self.remaps);
+                let name = self.name.remapped_topic(&topic.of(&token), self.remaps);
                 let durability = Durability::Volatile;
                 self.node.publisher(&name, topic.message_type(), durability)
             })

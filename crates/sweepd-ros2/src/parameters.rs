@@ -14,12 +14,15 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 use serde::de::{Deserializer, MapAccess, SeqAccess, Visitor};
+use serde_saphyr::options::{DuplicateKeyPolicy, NonFiniteFloatPolicy};
 use serde_saphyr::{Location, Spanned, UserMessageFormatter};
 use sweepd_client::service::{NAME_RULE, is_sensor_name};
 
 use sweepd_messages::{Fields, Layout, Stamp};
+use sweepd_ros2::args::Args;
 
 use crate::names::NodeName;
+use crate::ros_args::{RosArgs, Source};
 
 /// Where the daemon answers unless its configuration says otherwise.
 const DAEMON_HTTP: &str = "127.0.0.1:9177";
@@ -41,6 +44,8 @@ pub struct Parameters {
     pub health: Option<SocketAddr>,
     /// Frame of the robot, the parent of the sensors' frames; empty: no transforms.
     pub base_frame: String,
+    /// Sentences about what was given and means nothing here.
+    pub ignored: Vec<String>,
     of_all: Given,
     of_each: BTreeMap<String, Given>,
 }
@@ -100,6 +105,7 @@ impl Default for Parameters {
             root: None,
             health: DAEMON_HTTP.parse().ok(),
             base_frame: "base_link".to_owned(),
+            ignored: Vec::new(),
             of_all: Given::default(),
             of_each: BTreeMap::new(),
         }
@@ -107,6 +113,35 @@ impl Default for Parameters {
 }
 
 impl Parameters {
+    /// What a command line says for the node, and the files that it names: the last counts.
+    ///
+    /// # Errors
+    /// [`ParameterError`].
+    pub fn of_command_line(
+        args: &Args,
+        ros: &RosArgs,
+        node: &NodeName,
+    ) -> Result<Self, ParameterError> {
+        let mut parameters = Self::default();
+        let file = args.parameters.clone().map(Source::File);
+        for source in file.iter().chain(&ros.parameters) {
+            match source {
+                Source::File(path) => parameters.read(path, node)?,
+                Source::One {
+                    node: Some(other), ..
+                } if *other != node.name => {}
+                Source::One { name, value, .. } => parameters.set(name, value)?,
+            }
+        }
+        if !args.sensors.is_empty() {
+            parameters.sensors.clone_from(&args.sensors);
+        }
+        if args.root.is_some() {
+            parameters.root.clone_from(&args.root);
+        }
+        Ok(parameters)
+    }
+
     /// The parameters of a sensor.
     pub fn of(&self, sensor: &str) -> SensorParameters {
         let all = &self.of_all;
@@ -127,8 +162,8 @@ impl Parameters {
     /// Takes what a file says for the node.
     ///
     /// # Errors
-    /// [`ParameterError`]: it cannot be read, or is wrong, or says nothing for this node.
-    pub fn read(&mut self, file: &Path, node: &NodeName) -> Result<(), ParameterError> {
+    /// [`ParameterError`]: it cannot be read, or is wrong.
+    fn read(&mut self, file: &Path, node: &NodeName) -> Result<(), ParameterError> {
         let place = file.display().to_string();
         match std::fs::read_to_string(file) {
             Ok(text) => self.parse(&text, &place, node),
@@ -143,156 +178,135 @@ impl Parameters {
     fn parse(&mut self, text: &str, file: &str, node: &NodeName) -> Result<(), ParameterError> {
         let tree = read_tree(text, file)?;
         let mut sections = Vec::new();
-        find_sections(&tree, "", &mut sections);
+        find_sections(&tree, "", file, &mut sections)?;
         let full = node.full();
-        let mut is_named = false;
-        for (name, section) in &sections {
-            if names(name, &full) {
-                is_named = true;
-                self.take_section(section, file)?;
-            }
+        let (meant, others): (Vec<_>, Vec<_>) = sections
+            .into_iter()
+            .partition(|(name, _)| names(name, &full));
+        if meant.is_empty() {
+            let others: Vec<String> = others.iter().map(|(name, _)| format!("`{name}`")).collect();
+            self.ignored.push(match others.is_empty() {
+                true => format!("{file}: no parameters"),
+                false => format!(
+                    "{file}: nothing for the node {full}, only for {}",
+                    others.join(", ")
+                ),
+            });
         }
-        if is_named {
-            return Ok(());
-        }
-        let found: Vec<String> = sections
+        // Else all of it is comments.
+        let filled = meant
             .iter()
-            .map(|(name, _)| format!("`{name}`"))
-            .collect();
-        let what = match found.is_empty() {
-            true => format!("no `{SECTION}`: a file begins with `/**:`, and below it `{SECTION}:`"),
-            false => format!("nothing for the node {full}, only for {}", found.join(", ")),
-        };
-        Err(at(file, tree.referenced, what))
+            .filter(|(_, section)| matches!(section.value, Tree::Map(_)));
+        for (_, section) in filled {
+            self.take("", section, file)?;
+        }
+        Ok(())
     }
 
     /// Takes one parameter: its name, with dots within, and its value as YAML.
     ///
     /// # Errors
     /// [`ParameterError`].
-    pub fn set(&mut self, name: &str, value: &str) -> Result<(), ParameterError> {
+    fn set(&mut self, name: &str, value: &str) -> Result<(), ParameterError> {
         let place = format!("-p {name}:={value}");
-        let tree = read_tree(value, &place);
-        let taken = tree.and_then(|tree| {
-            let taken = self.take(name, &tree);
-            taken.map_err(|wrong| wrong.at(&place, tree.referenced))
-        });
-        // The argument is one line.
-        taken.map_err(|error| ParameterError { place, ..error })
+        let tree = read_tree(value, &place)?;
+        self.take(name, &tree, &place)
     }
 
-    fn take_section(&mut self, section: &Spanned<Tree>, file: &str) -> Result<(), ParameterError> {
-        let pairs = match &section.value {
-            Tree::Map(pairs) => &pairs[..],
-            // All of it is comments.
-            Tree::Scalar(text) if text.is_empty() => &[],
-            _ => {
-                let what = "expected parameters, `name: value`".to_owned();
-                return Err(at(file, section.referenced, what));
-            }
-        };
-        for (key, value) in pairs {
-            self.take(&key.value, value)
-                .map_err(|wrong| wrong.at(file, key.referenced))?;
-        }
-        Ok(())
-    }
-
-    fn take(&mut self, name: &str, value: &Spanned<Tree>) -> Result<(), Wrong> {
-        let wrong = |what| Wrong::value(name, value, what);
-        match name {
-            "sensors" => self.sensors = sensors(value).map_err(wrong)?,
-            "root" => self.root = optional(value).map_err(wrong)?.map(PathBuf::from),
-            "health" => self.health = health(value).map_err(wrong)?,
-            "base_frame" => self.base_frame = text(value).map_err(wrong)?,
-            // Launch files set it for all nodes. A live sensor has no simulated clock.
-            "use_sim_time" => drop(switch(value).map_err(wrong)?),
-            _ if OF_SENSOR.contains(&name) => self.of_all.take(name, value)?,
-            _ => match (&value.value, name.rsplit_once('.')) {
-                (Tree::Map(pairs), _) => {
-                    for (key, value) in pairs {
-                        let taken = self.take_of_sensor(name, &key.value, value);
-                        taken.map_err(|wrong| wrong.or_at(key.referenced))?;
-                    }
-                }
-                (_, Some((sensor, name))) => self.take_of_sensor(sensor, name, value)?,
-                (_, None) => return Err(Wrong::name(name, &[&OF_NODE[..], &OF_SENSOR].concat())),
-            },
-        }
-        Ok(())
-    }
-
-    fn take_of_sensor(
+    /// Takes a parameter, or all below a name: `{roof: {stamp: last}}` is `roof.stamp`.
+    fn take(
         &mut self,
-        sensor: &str,
         name: &str,
         value: &Spanned<Tree>,
-    ) -> Result<(), Wrong> {
-        let own = self.of_each.entry(sensor.to_owned()).or_default();
-        own.take(name, value)
+        file: &str,
+    ) -> Result<(), ParameterError> {
+        let Tree::Map(pairs) = &value.value else {
+            return match self.take_one(name, value) {
+                Ok(true) => Ok(()),
+                Ok(false) => {
+                    self.ignore(name, &place(file, value.referenced));
+                    Ok(())
+                }
+                Err(what) => Err(ParameterError {
+                    place: place(file, value.referenced),
+                    what: format!("`{name}`: {what}"),
+                }),
+            };
+        };
+        for (key, value) in pairs {
+            let name = match name {
+                "" => key.value.clone(),
+                above => format!("{above}.{}", key.value),
+            };
+            self.take(&name, value, file)?;
+        }
+        Ok(())
+    }
+
+    /// Takes a parameter, if it is known.
+    fn take_one(&mut self, name: &str, value: &Spanned<Tree>) -> Result<bool, String> {
+        match name {
+            "sensors" => self.sensors = sensors(value)?,
+            "root" => self.root = optional(value)?.map(PathBuf::from),
+            "health" => self.health = health(value)?,
+            "base_frame" => self.base_frame = text(value)?,
+            // Launch files set it for all nodes. A live sensor has no simulated clock.
+            "use_sim_time" => drop(switch(value)?),
+            _ => match name.rsplit_once('.') {
+                Some((sensor, own)) if OF_SENSOR.contains(&own) => {
+                    let of_one = self.of_each.entry(sensor.to_owned()).or_default();
+                    of_one.take(own, value)?;
+                }
+                None if OF_SENSOR.contains(&name) => self.of_all.take(name, value)?,
+                _ => return Ok(false),
+            },
+        }
+        Ok(true)
+    }
+
+    /// Notes a parameter that means nothing here: in ROS, files and launch files are for many nodes.
+    fn ignore(&mut self, name: &str, place: &str) {
+        let what = match name.split_once('.') {
+            Some(("qos_overrides", _)) => {
+                "publishers stay RELIABLE, VOLATILE, KEEP_LAST 5".to_owned()
+            }
+            Some(_) => format!("of a sensor are known {}", OF_SENSOR.join(", ")),
+            None => format!("known are {}, {}", OF_NODE.join(", "), OF_SENSOR.join(", ")),
+        };
+        self.ignored
+            .push(format!("{place}: unknown parameter `{name}`: {what}"));
     }
 }
 
 impl Given {
-    fn take(&mut self, name: &str, value: &Spanned<Tree>) -> Result<(), Wrong> {
-        let wrong = |what| Wrong::value(name, value, what);
+    /// Takes one of [`OF_SENSOR`].
+    fn take(&mut self, name: &str, value: &Spanned<Tree>) -> Result<(), String> {
         match name {
-            "frame_id" => self.frame_id = optional(value).map_err(wrong)?,
+            "frame_id" => self.frame_id = optional(value)?,
             "stamp" => {
                 let stamps = [("first", Stamp::First), ("last", Stamp::Last)];
-                self.stamp = Some(choice(value, &stamps).map_err(wrong)?);
+                self.stamp = Some(choice(value, &stamps)?);
             }
-            "organized" => self.organized = Some(switch(value).map_err(wrong)?),
+            "organized" => self.organized = Some(switch(value)?),
             "layout" => {
                 let layouts = [
                     ("xyzirt", LayoutName::Xyzirt),
                     ("autoware", LayoutName::Autoware),
                 ];
-                self.layout = Some(choice(value, &layouts).map_err(wrong)?);
+                self.layout = Some(choice(value, &layouts)?);
             }
-            "fields" => self.fields = Some(fields(value).map_err(wrong)?),
-            _ => return Err(Wrong::name(name, &OF_SENSOR)),
+            "fields" => self.fields = Some(fields(value)?),
+            _ => unreachable!("{name} is none of {OF_SENSOR:?}"),
         }
         Ok(())
     }
 }
 
-/// What is wrong with a parameter, and where if not at its name.
-struct Wrong {
-    what: String,
-    location: Option<Location>,
-}
-
-impl Wrong {
-    fn value(name: &str, value: &Spanned<Tree>, what: String) -> Self {
-        Self {
-            what: format!("`{name}`: {what}"),
-            location: Some(value.referenced),
-        }
-    }
-
-    fn name(name: &str, known: &[&str]) -> Self {
-        let known = known.join(", ");
-        Self {
-            what: format!("unknown parameter `{name}`; known are {known}"),
-            location: None,
-        }
-    }
-
-    fn or_at(mut self, location: Location) -> Self {
-        self.location.get_or_insert(location);
-        self
-    }
-
-    fn at(self, file: &str, name: Location) -> ParameterError {
-        at(file, self.location.unwrap_or(name), self.what)
-    }
-}
-
-fn at(file: &str, location: Location, what: String) -> ParameterError {
-    ParameterError {
-        place: format!("{file}:{}", location.line().max(1)),
-        what,
+/// A line of a file, or an argument, which is one line.
+fn place(file: &str, location: Location) -> String {
+    match file.starts_with("-p ") {
+        true => file.to_owned(),
+        false => format!("{file}:{}", location.line().max(1)),
     }
 }
 
@@ -315,8 +329,13 @@ fn texts(value: &Spanned<Tree>) -> Result<Vec<String>, String> {
     }
 }
 
+/// The words are those of YAML 1.1, as in ROS.
 fn switch(value: &Spanned<Tree>) -> Result<bool, String> {
-    choice(value, &[("true", true), ("false", false)])
+    match &text(value)?.to_ascii_lowercase()[..] {
+        "true" | "yes" | "y" | "on" => Ok(true),
+        "false" | "no" | "n" | "off" => Ok(false),
+        other => Err(format!("expected true or false, not `{other}`")),
+    }
 }
 
 fn choice<T: Copy>(value: &Spanned<Tree>, choices: &[(&str, T)]) -> Result<T, String> {
@@ -353,21 +372,40 @@ fn fields(value: &Spanned<Tree>) -> Result<Fields, String> {
 fn find_sections<'a>(
     tree: &'a Spanned<Tree>,
     name: &str,
+    file: &str,
     found: &mut Vec<(String, &'a Spanned<Tree>)>,
-) {
+) -> Result<(), ParameterError> {
+    let wrong = |location, what| {
+        let place = place(file, location);
+        Err(ParameterError { place, what })
+    };
     let Tree::Map(pairs) = &tree.value else {
-        return;
+        return match &tree.value {
+            // All of the file is comments.
+            Tree::Scalar(text) if text.is_empty() && name.is_empty() => Ok(()),
+            _ => wrong(
+                tree.referenced,
+                format!("no `{SECTION}`: a file begins with `/**:`, and below it `{SECTION}:`"),
+            ),
+        };
     };
     for (key, value) in pairs {
-        match &key.value[..] {
-            SECTION => found.push((name.to_owned(), value)),
-            key => find_sections(
-                value,
-                &format!("{name}/{}", key.trim_start_matches('/')),
-                found,
-            ),
+        let below = format!("{name}/{}", key.value.trim_start_matches('/'));
+        match (&key.value[..], &value.value) {
+            (SECTION, Tree::Map(_)) => found.push((name.to_owned(), value)),
+            (SECTION, Tree::Scalar(text)) if text.is_empty() => {
+                found.push((name.to_owned(), value))
+            }
+            (SECTION, _) => {
+                return wrong(
+                    value.referenced,
+                    "expected parameters, `name: value`".to_owned(),
+                );
+            }
+            _ => find_sections(value, &below, file, found)?,
         }
     }
+    Ok(())
 }
 
 /// Whether a section's name means the node: `*` is one token, `**` any number of them.
@@ -388,8 +426,13 @@ fn names(section: &str, node: &str) -> bool {
 }
 
 fn read_tree(text: &str, file: &str) -> Result<Spanned<Tree>, ParameterError> {
-    // Or the field `y` would be read as yes.
-    let options = serde_saphyr::options! { strict_booleans: true };
+    let options = serde_saphyr::options! {
+        // Or the field `y` would be read as yes.
+        strict_booleans: true,
+        // As in ROS, where files have parameters of other nodes, too.
+        duplicate_keys: DuplicateKeyPolicy::LastWins,
+        non_finite_float_policy: NonFiniteFloatPolicy::PassThrough,
+    };
     serde_saphyr::from_str_with_options(text, options).map_err(|error: serde_saphyr::Error| {
         let message = error
             .without_snippet()
@@ -398,11 +441,10 @@ fn read_tree(text: &str, file: &str) -> Result<Spanned<Tree>, ParameterError> {
         let what = message
             .rsplit_once(" at line ")
             .map_or(message, |(what, _)| what);
-        at(
-            file,
-            error.location().unwrap_or(Location::UNKNOWN),
-            what.to_owned(),
-        )
+        ParameterError {
+            place: place(file, error.location().unwrap_or(Location::UNKNOWN)),
+            what: what.to_owned(),
+        }
     })
 }
 
@@ -579,11 +621,6 @@ mod tests {
     fn what_is_wrong_is_named_with_its_line_and_what_is_known() {
         for (parameters, line, part) in [
             (
-                "stmap: last",
-                3,
-                "unknown parameter `stmap`; known are sensors, root, health, base_frame, frame_id, stamp",
-            ),
-            (
                 "stamp: middle",
                 3,
                 "`stamp`: expected first or last, not `middle`",
@@ -599,16 +636,6 @@ mod tests {
                 "a point has no field \"colour\": fields are x, y, z, intensity, ring, time and label",
             ),
             ("layout: xyz", 3, "expected xyzirt or autoware"),
-            (
-                "roof:\n      frame_id: a\n      rate: 3",
-                5,
-                "unknown parameter `rate`; known are frame_id",
-            ),
-            (
-                "roof.rate: 3",
-                3,
-                "unknown parameter `rate`; known are frame_id",
-            ),
             ("roof: {stamp: x}", 3, "expected first or last"),
             ("stamp: {", 3, "unclosed bracket"),
         ] {
@@ -620,12 +647,7 @@ mod tests {
             );
         }
         for (text, part) in [
-            ("stamp: last", "no `ros__parameters`"),
-            ("", "no `ros__parameters`"),
-            (
-                "/camera:\n  ros__parameters: {}",
-                "nothing for the node /robot/sweepd, only for `/camera`",
-            ),
+            ("stamp: last", "ros2.yaml:1: no `ros__parameters`"),
             ("/**:\n  ros__parameters: 3", "expected parameters"),
         ] {
             assert!(
@@ -644,6 +666,38 @@ mod tests {
     }
 
     #[test]
+    fn what_means_nothing_here_is_told_and_ends_nothing() {
+        for (text, line, part) in [
+            (
+                "/**:\n  ros__parameters: {stmap: last}",
+                "2",
+                "unknown parameter `stmap`: known are sensors, root, health, base_frame, frame_id, stamp",
+            ),
+            (
+                "/**:\n  ros__parameters:\n    roof:\n      frame_id: a\n      rate: 3",
+                "5",
+                "unknown parameter `roof.rate`: of a sensor are known frame_id",
+            ),
+            (
+                "/**:\n  ros__parameters: {qos_overrides: {/sweepd/roof/points: {publisher: {depth: 3}}}}",
+                "2",
+                "publishers stay RELIABLE",
+            ),
+            (
+                "/camera:\n  ros__parameters: {}",
+                "",
+                " nothing for the node /robot/sweepd, only for `/camera`",
+            ),
+            ("", "", " no parameters"),
+        ] {
+            let ignored = parse(text).unwrap().ignored;
+            let begin = format!("ros2.yaml:{line}");
+            let is_told = ignored[0].starts_with(&begin) && ignored[0].contains(part);
+            assert!(is_told && ignored.len() == 1, "{ignored:?}");
+        }
+    }
+
+    #[test]
     fn arguments_are_parameters_too() {
         let mut parameters = Parameters::default();
         for (name, value) in [
@@ -657,7 +711,7 @@ mod tests {
         let roof = parameters.of("roof");
         assert_eq!((&roof.frame_id[..], roof.stamp), ("top", Stamp::Last));
         assert_eq!((parameters.sensors.len(), parameters.health), (1, None));
-        for (name, value) in [("stamp", "x"), ("stmap", "last"), ("stamp", "[")] {
+        for (name, value) in [("stamp", "x"), ("stamp", "[")] {
             let error = parameters.set(name, value).unwrap_err().to_string();
             assert!(
                 error.starts_with(&format!("-p {name}:={value}: ")),

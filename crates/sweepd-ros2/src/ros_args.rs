@@ -22,13 +22,9 @@ const WITHOUT_USE: [(&str, usize); 10] = [
 /// The arguments of ROS.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RosArgs {
-    /// Name of the node.
-    pub node: Option<String>,
-    /// Its namespace.
-    pub namespace: Option<String>,
     /// Files and parameters, in the order in which they count.
     pub parameters: Vec<Source>,
-    /// Topics that get another name.
+    /// Rules for names, in the order in which they count.
     pub remaps: Vec<Remap>,
 }
 
@@ -37,12 +33,20 @@ pub struct RosArgs {
 pub enum Source {
     /// A file.
     File(PathBuf),
-    /// A name and a value.
-    One(String, String),
+    /// `-p [NODE:]NAME:=VALUE`
+    One {
+        /// The only node that it is for.
+        node: Option<String>,
+        /// The parameter.
+        name: String,
+        /// Its value as YAML.
+        value: String,
+    },
 }
 
 impl RosArgs {
-    /// Takes the arguments of ROS out of a command line: from `--ros-args` to `--`, or to the end.
+    /// Takes the arguments of ROS out of a command line: from `--ros-args` to `--`, or to the end, and
+    /// rules elsewhere, as rcl still does.
     ///
     /// # Errors
     /// A sentence that names the word.
@@ -51,7 +55,10 @@ impl RosArgs {
         let mut words = words.peekable();
         while let Some(word) = words.next() {
             if word != "--ros-args" {
-                others.push(word);
+                match word.to_str().filter(|word| word.contains(":=")) {
+                    Some(rule) => args.remaps.push(Remap::parse(rule)?),
+                    None => others.push(word),
+                }
                 continue;
             }
             while let Some(word) = words.next_if(|word| word != "--") {
@@ -75,17 +82,12 @@ impl RosArgs {
         };
         match &*word {
             "--params-file" => self.parameters.push(Source::File(value()?.into())),
-            "-p" | "--param" => {
-                let (name, value) = pair(&value()?)?;
-                self.parameters.push(Source::One(name, value));
-            }
+            // Once more, as by a launch file in a launch file.
+            "--ros-args" => {}
+            "-p" | "--param" => self.parameters.push(one(&value()?)?),
             "-r" | "--remap" => {
-                let (from, to) = pair(&value()?)?;
-                match &from[..] {
-                    "__node" | "__name" => self.node = Some(to),
-                    "__ns" => self.namespace = Some(to),
-                    _ => self.remaps.push(Remap { from, to }),
-                }
+                let rule = value()?;
+                self.remaps.push(Remap::parse(&rule.to_string_lossy())?);
             }
             _ => {
                 let known = WITHOUT_USE.iter().find(|(name, _)| *name == word);
@@ -103,13 +105,25 @@ impl RosArgs {
     }
 }
 
-/// Both sides of `:=`.
-fn pair(word: &OsString) -> Result<(String, String), String> {
+/// Reads `[NODE:]NAME:=VALUE`.
+fn one(word: &OsString) -> Result<Source, String> {
     let word = word.to_string_lossy();
-    match word.split_once(":=") {
-        Some((left, right)) => Ok((left.to_owned(), right.to_owned())),
-        None => Err(format!("expected NAME:=VALUE, not `{word}`")),
+    let wrong = || format!("expected [NODE:]NAME:=VALUE, not `{word}`");
+    let (name, value) = word.split_once(":=").ok_or_else(wrong)?;
+    let (node, name) = match name.split_once(':') {
+        Some((node, name)) => (Some(node.to_owned()), name),
+        None => (None, name),
+    };
+    let has_empty =
+        node.as_ref().is_some_and(String::is_empty) || name.split('.').any(str::is_empty);
+    if has_empty || name.contains([':', ' ']) {
+        return Err(wrong());
     }
+    Ok(Source::One {
+        node,
+        name: name.to_owned(),
+        value: value.to_owned(),
+    })
 }
 
 #[cfg(test)]
@@ -123,24 +137,22 @@ mod tests {
     #[test]
     fn what_a_launch_file_gives_is_taken_and_the_rest_is_left() {
         let (args, others) = split(
-            "roof --ros-args --log-level info -r __node:=lidar -r __ns:=/robot -r ~/roof/points:=/points \
-             --params-file /tmp/launch -p stamp:=last -- --root /r --ros-args --disable-rosout-logs",
+            "roof --ros-args --log-level info -r __node:=lidar -r ~/roof/points:=/points --params-file /tmp/launch \
+             -p lidar:stamp:=last -- --root /r --ros-args --disable-rosout-logs",
         )
         .unwrap();
         assert_eq!(others, ["roof", "--root", "/r"]);
-        let expected = RosArgs {
-            node: Some("lidar".to_owned()),
-            namespace: Some("/robot".to_owned()),
-            parameters: vec![
-                Source::File("/tmp/launch".into()),
-                Source::One("stamp".to_owned(), "last".to_owned()),
-            ],
-            remaps: vec![Remap {
-                from: "~/roof/points".to_owned(),
-                to: "/points".to_owned(),
-            }],
-        };
-        assert_eq!(args, expected);
+        let rules: Vec<&str> = args.remaps.iter().map(|remap| &remap.rule[..]).collect();
+        assert_eq!(rules, ["__node:=lidar", "~/roof/points:=/points"]);
+        let expected = [
+            Source::File("/tmp/launch".into()),
+            Source::One {
+                node: Some("lidar".to_owned()),
+                name: "stamp".to_owned(),
+                value: "last".to_owned(),
+            },
+        ];
+        assert_eq!(args.parameters, expected);
         assert_eq!(split("roof --root /r").unwrap().0, RosArgs::default());
     }
 
@@ -155,7 +167,11 @@ mod tests {
             ),
             (
                 "--ros-args -p stamp=last",
-                "expected NAME:=VALUE, not `stamp=last`",
+                "expected [NODE:]NAME:=VALUE, not `stamp=last`",
+            ),
+            (
+                "--ros-args -r a=b",
+                "expected [NODE:]NAME:=NAME with names of ROS, not `a=b`",
             ),
         ] {
             let error = split(line).unwrap_err();
