@@ -1,7 +1,7 @@
 //! `/diagnostics`: how each sensor is, by its sweeps and by what the daemon says.
 
 use std::collections::BTreeMap;
-use std::io::{Read, Write};
+use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -20,7 +20,7 @@ use crate::bridge::{Bridge, PATIENCE, Tally, Topic, model};
 const DAEMON: &str = "sweepd";
 /// Longest wait for the daemon's answer, and longest answer in bytes.
 const ANSWER_WITHIN: Duration = Duration::from_millis(200);
-const ANSWER_BYTES: u64 = 1 << 20;
+const ANSWER_BYTES: usize = 1 << 20;
 
 /// Numbers of `/health` that are no counters, and what its words tell.
 const UNTOLD: [&str; 3] = ["port", "position_port", "losses"];
@@ -283,14 +283,27 @@ fn ask(at: SocketAddr) -> Result<Value, String> {
     serde_json::from_str(body).map_err(|error| format!("the answer of {at} is no JSON: {error}"))
 }
 
-fn get(at: SocketAddr) -> std::io::Result<String> {
+fn get(at: SocketAddr) -> io::Result<String> {
+    let deadline = Instant::now() + ANSWER_WITHIN;
     let mut stream = TcpStream::connect_timeout(&at, ANSWER_WITHIN)?;
-    stream.set_read_timeout(Some(ANSWER_WITHIN))?;
     stream.set_write_timeout(Some(ANSWER_WITHIN))?;
     stream.write_all(format!("GET /health HTTP/1.0\r\nHost: {at}\r\n\r\n").as_bytes())?;
-    let mut answer = String::new();
-    stream.take(ANSWER_BYTES).read_to_string(&mut answer)?;
-    Ok(answer)
+    let (mut answer, mut buffer) = (Vec::new(), [0; 4096]);
+    while answer.len() < ANSWER_BYTES {
+        // One limit for all of it: who sends a byte now and then must not hold this program up.
+        let left = deadline.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return Err(io::ErrorKind::TimedOut.into());
+        }
+        stream.set_read_timeout(Some(left))?;
+        match stream.read(&mut buffer) {
+            Ok(0) => break,
+            Ok(bytes) => answer.extend_from_slice(&buffer[..bytes]),
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+    String::from_utf8(answer).map_err(|_| io::ErrorKind::InvalidData.into())
 }
 
 #[cfg(test)]
@@ -310,6 +323,20 @@ mod tests {
             stream.write_all(answer.as_bytes()).unwrap();
         });
         at
+    }
+
+    #[test]
+    fn a_server_that_drips_is_left() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let at = listener.local_addr().unwrap();
+        std::thread::spawn(move || {
+            let (mut stream, _) = listener.accept().unwrap();
+            // Until who asks has gone.
+            while stream.write_all(b"x").is_ok() {
+                std::thread::sleep(ANSWER_WITHIN / 10);
+            }
+        });
+        assert!(ask(at).unwrap_err().starts_with("no answer"));
     }
 
     #[test]

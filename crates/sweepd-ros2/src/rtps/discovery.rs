@@ -19,6 +19,9 @@ pub const MAX_READERS: usize = 4096;
 /// Places a participant or reader can be reached at.
 const MAX_LOCATORS: usize = 16;
 
+/// How long a participant is known that has acknowledged nothing.
+const UNCONFIRMED_LEASE: Duration = Duration::from_secs(5);
+
 /// Samples ahead of the first that is missing.
 const WINDOW: u64 = 256;
 
@@ -48,7 +51,8 @@ pub struct Place {
 /// The addresses of this host, beside those of the loopback.
 pub type OwnAddresses = [Ipv4Addr];
 
-fn is_own(address: &Ipv4Addr, own: &OwnAddresses) -> bool {
+/// Whether an address is of this host.
+pub fn is_own(address: &Ipv4Addr, own: &OwnAddresses) -> bool {
     address.is_loopback() || own.contains(address)
 }
 
@@ -83,10 +87,12 @@ impl Place {
 }
 
 /// What a participant says of itself.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct ParticipantData {
     /// Where it hears of others.
     pub meta: Place,
+    /// The places that it names for that.
+    named: Vec<SocketAddrV4>,
     /// Where its readers hear, unless they name a place of their own.
     user: Vec<SocketAddrV4>,
     source: Ipv4Addr,
@@ -109,10 +115,21 @@ impl ParticipantData {
         }
         Some(Self {
             meta: Place::choose(&meta, source, own)?,
+            named: meta,
             user,
             source,
             lease,
         })
+    }
+}
+
+impl ParticipantData {
+    /// Whether what comes from an address comes from where it hears of others.
+    fn is_at(&self, source: Ipv4Addr, own: &OwnAddresses) -> bool {
+        match self.meta.near {
+            true => is_own(&source, own),
+            false => *self.meta.address.ip() == source,
+        }
     }
 }
 
@@ -267,7 +284,11 @@ pub enum News {
 
 struct Participant {
     data: ParticipantData,
+    /// When it was heard first.
+    since: Instant,
     heard: Instant,
+    /// It has acknowledged something, from the place that it names.
+    is_confirmed: bool,
     /// When it is to be told of us again, and how often. One that has only just begun hears
     /// nothing yet when it first says that it is there.
     tell_again: Instant,
@@ -281,16 +302,27 @@ struct Participant {
 pub struct Discovery {
     participants: HashMap<Prefix, Participant>,
     readers: usize,
+    /// Somebody found no room since this was looked at.
+    pub is_full: bool,
 }
 
 impl Discovery {
     /// A participant says that it is there.
     pub fn participant(&mut self, prefix: Prefix, data: ParticipantData, now: Instant) -> News {
         if let Some(known) = self.participants.get_mut(&prefix) {
+            let mut data = data;
+            // A host may speak from several addresses: the one that works stays.
+            if known.is_confirmed && data.named.contains(&known.data.meta.address) {
+                (data.meta, data.source) = (known.data.meta, known.data.source);
+            }
             let moved = known.data.meta != data.meta;
             known.data = data;
             known.heard = now;
             if moved {
+                self.readers -= known.readers.len();
+                known.readers.clear();
+                known.subscriptions = Received::new();
+                (known.since, known.is_confirmed) = (now, false);
                 return News::New;
             }
             if known.tells_left == 0 || now < known.tell_again {
@@ -305,7 +337,9 @@ impl Discovery {
         }
         let participant = Participant {
             data,
+            since: now,
             heard: now,
+            is_confirmed: false,
             tell_again: now + TELL_INTERVAL,
             tells_left: TELLS,
             subscriptions: Received::new(),
@@ -315,6 +349,54 @@ impl Discovery {
         News::New
     }
 
+    /// Whom a participant that is new displaces where there is no room: of those that have
+    /// acknowledged nothing, the one that is known for longest.
+    pub fn displaced_by(&mut self, newcomer: Prefix) -> Option<Prefix> {
+        let has_room = self.participants.len() < MAX_PARTICIPANTS;
+        if has_room || self.participants.contains_key(&newcomer) {
+            return None;
+        }
+        self.is_full = true;
+        let unconfirmed = self
+            .participants
+            .iter()
+            .filter(|(_, one)| !one.is_confirmed);
+        let oldest = unconfirmed.min_by_key(|(_, one)| one.since);
+        oldest.map(|(prefix, _)| *prefix)
+    }
+
+    /// What a participant says of itself, if datagrams come from another place that it names than the
+    /// one that was chosen.
+    pub fn seen_elsewhere(
+        &self,
+        prefix: Prefix,
+        source: Ipv4Addr,
+        own: &OwnAddresses,
+    ) -> Option<ParticipantData> {
+        let participant = self.participants.get(&prefix)?;
+        let mut data = participant.data.clone();
+        (data.source, data.meta) = (source, Place::choose(&data.named, source, own)?);
+        let is_elsewhere = data.is_at(source, own) && !participant.data.is_at(source, own);
+        (is_elsewhere && !participant.is_confirmed).then_some(data)
+    }
+
+    /// A participant that names us acknowledges something, from this address: whether that is the place
+    /// that it names.
+    pub fn acknowledged(&mut self, prefix: Prefix, source: Ipv4Addr, own: &OwnAddresses) -> bool {
+        let Some(participant) = self.participants.get_mut(&prefix) else {
+            return false;
+        };
+        let is_there = participant.data.is_at(source, own);
+        participant.is_confirmed |= is_there;
+        is_there
+    }
+
+    /// Whether a participant has acknowledged something.
+    pub fn is_confirmed(&self, prefix: Prefix) -> bool {
+        let participant = self.participants.get(&prefix);
+        participant.is_some_and(|one| one.is_confirmed)
+    }
+
     /// A participant has gone, or was never there.
     pub fn forget(&mut self, prefix: Prefix) {
         if let Some(gone) = self.participants.remove(&prefix) {
@@ -322,10 +404,13 @@ impl Discovery {
         }
     }
 
-    /// Forgets those that stay silent, and names them.
+    /// Forgets those that stay silent or acknowledge nothing, and names them.
     pub fn expire(&mut self, now: Instant) -> Vec<Prefix> {
         let silent = |participant: &Participant| {
-            now.saturating_duration_since(participant.heard) > participant.data.lease
+            let lease = participant.data.lease;
+            now.saturating_duration_since(participant.heard) > lease
+                || !participant.is_confirmed
+                    && now.saturating_duration_since(participant.since) > UNCONFIRMED_LEASE
         };
         let gone: Vec<Prefix> = self
             .participants
@@ -354,7 +439,11 @@ impl Discovery {
         let reader = ReaderData::read(payload, &participant.data, own)?;
         let entity = reader.guid.entity;
         let known = participant.readers.contains_key(&entity);
-        if reader.guid.prefix != prefix || (!known && self.readers == MAX_READERS) {
+        if reader.guid.prefix != prefix {
+            return None;
+        }
+        if !known && self.readers == MAX_READERS {
+            self.is_full = true;
             return None;
         }
         self.readers += usize::from(!known);
@@ -424,11 +513,10 @@ impl Discovery {
         (self.participants.len(), self.readers)
     }
 
-    /// Where participants hear of others.
+    /// Where participants hear of others, of those that have acknowledged something.
     pub fn places(&self) -> impl Iterator<Item = Place> + '_ {
-        self.participants
-            .values()
-            .map(|participant| participant.data.meta)
+        let confirmed = self.participants.values().filter(|one| one.is_confirmed);
+        confirmed.map(|participant| participant.data.meta)
     }
 }
 
@@ -487,21 +575,34 @@ mod tests {
     fn the_silent_are_forgotten() {
         let mut discovery = Discovery::default();
         let start = Instant::now();
+        let meta = place([127, 0, 0, 1], true).unwrap();
         let data = |seconds| ParticipantData {
-            meta: place([127, 0, 0, 1], true).unwrap(),
+            meta,
+            named: vec![meta.address],
             user: vec![],
             source: Ipv4Addr::LOCALHOST,
             lease: Duration::from_secs(seconds),
         };
-        let mut says_so =
-            |id, lease, after| discovery.participant([id; 12], data(lease), start + after);
-        assert_eq!(says_so(1, 10, Duration::ZERO), News::New);
-        assert_eq!(says_so(2, 20, Duration::ZERO), News::New);
-        assert_eq!(says_so(2, 20, Duration::from_millis(10)), News::Known);
-        assert_eq!(says_so(2, 20, Duration::from_secs(5)), News::Unaware);
-        assert!(discovery.expire(start + Duration::from_secs(10)).is_empty());
-        assert_eq!(discovery.expire(start + Duration::from_secs(11)), [[1; 12]]);
-        assert!(discovery.expire(start + Duration::from_secs(25)).is_empty());
-        assert_eq!(discovery.expire(start + Duration::from_secs(26)), [[2; 12]]);
+        let after = |seconds| start + Duration::from_secs(seconds);
+        let soon = start + Duration::from_millis(10);
+        for (id, lease) in [(1, 10), (2, 20), (3, 20)] {
+            let news = discovery.participant([id; 12], data(lease), start);
+            assert_eq!(news, News::New);
+        }
+        for id in [1, 2] {
+            assert!(discovery.acknowledged([id; 12], Ipv4Addr::LOCALHOST, &[]));
+        }
+        assert_eq!(discovery.participant([2; 12], data(20), soon), News::Known);
+        assert_eq!(
+            discovery.participant([2; 12], data(20), after(5)),
+            News::Unaware
+        );
+        // The third has acknowledged nothing.
+        assert!(discovery.expire(after(5)).is_empty());
+        assert_eq!(discovery.expire(after(6)), [[3; 12]]);
+        assert!(discovery.expire(after(10)).is_empty());
+        assert_eq!(discovery.expire(after(11)), [[1; 12]]);
+        assert!(discovery.expire(after(25)).is_empty());
+        assert_eq!(discovery.expire(after(26)), [[2; 12]]);
     }
 }

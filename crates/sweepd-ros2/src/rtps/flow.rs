@@ -6,7 +6,8 @@
 //! rest behind the writer, as fast as it takes it, and no newer sample meanwhile. One that takes
 //! nothing for [`PATIENCE_BEHIND`] loses the rest, and gets no patience until its buffer is half
 //! free. Where the kernel cannot say, the pace is fixed, and takes no patience. Readers wait for none
-//! of the others: deliveries take turns.
+//! of the others: deliveries take turns. Readers on other hosts get all samples behind the writer, at
+//! one pace for all of them, so that they delay no reader on this host.
 
 use super::discovery::Place;
 use super::sample::Sample;
@@ -14,8 +15,8 @@ use super::sockets::Sockets;
 use super::wire::{ANY_READER, Fragments, Guid, Heartbeat, Message, NumberSet, Route};
 use socket2::{Domain, Protocol, Socket, Type};
 use std::io::{self, IoSlice, Read};
-use std::net::SocketAddrV4;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -42,7 +43,7 @@ const TURN_BYTES: usize = 128_000;
 /// Fixed pace on this host, bytes per second, and bytes at once.
 const NEAR_PACE: (f64, f64) = (200e6, 130e3);
 
-/// Fixed pace to other hosts: less than gigabit Ethernet carries.
+/// Fixed pace to all other hosts together: less than gigabit Ethernet carries.
 const FAR_PACE: (f64, f64) = (100e6, 64e3);
 
 /// A lock that a panic elsewhere does not take away: what it guards is whole between statements.
@@ -183,13 +184,19 @@ pub struct Transport {
     /// Its sockets.
     pub sockets: Sockets,
     kernel: Option<Mutex<Kernel>>,
+    /// What may be sent to other hosts now.
+    far: Mutex<Room>,
 }
 
 impl Transport {
     /// Joins them.
     pub fn new(sockets: Sockets) -> Self {
         let kernel = Kernel::open(sockets.own()).map(Mutex::new);
-        Self { sockets, kernel }
+        Self {
+            sockets,
+            kernel,
+            far: Mutex::new(Room::new()),
+        }
     }
 
     /// The buffer of a socket of this host, where the kernel says.
@@ -203,7 +210,11 @@ impl Transport {
 pub struct Link {
     /// Where it ends.
     pub place: Place,
+    /// Of a place on this host.
     room: Mutex<Room>,
+    /// Who is there has acknowledged something. Nothing but small answers goes to anyone else: the
+    /// address may be another's.
+    confirmed: AtomicBool,
 }
 
 /// What may be sent now, in bytes; it was right at that moment.
@@ -225,17 +236,48 @@ enum Outcome {
     Gone,
 }
 
-impl Link {
-    /// A way that nothing went yet.
-    pub fn new(place: Place) -> Self {
-        let room = Room {
+impl Room {
+    fn new() -> Self {
+        Self {
             bytes: 0.0,
             at: Instant::now(),
             stalled: false,
-        };
+        }
+    }
+}
+
+impl Link {
+    /// A way that nothing went yet.
+    pub fn new(place: Place) -> Self {
         Self {
             place,
-            room: Mutex::new(room),
+            room: Mutex::new(Room::new()),
+            confirmed: AtomicBool::new(false),
+        }
+    }
+
+    /// The host where it ends; this one has one name.
+    pub fn host(&self) -> Ipv4Addr {
+        match self.place.near {
+            true => Ipv4Addr::LOCALHOST,
+            false => *self.place.address.ip(),
+        }
+    }
+
+    /// Who is there has acknowledged something.
+    pub fn confirm(&self) {
+        self.confirmed.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether who is there has acknowledged something.
+    pub fn is_confirmed(&self) -> bool {
+        self.confirmed.load(Ordering::Relaxed)
+    }
+
+    fn room<'a>(&'a self, transport: &'a Transport) -> MutexGuard<'a, Room> {
+        match self.place.near {
+            true => lock(&self.room),
+            false => lock(&transport.far),
         }
     }
 
@@ -253,7 +295,7 @@ impl Link {
     fn send(&self, transport: &Transport, parts: &[IoSlice]) -> Outcome {
         let datagram: usize = parts.iter().map(|part| part.len()).sum();
         // Held while sending: between question and datagram no other thread fills the buffer.
-        let mut room = lock(&self.room);
+        let mut room = self.room(transport);
         let cost = match self.find_room(&mut room, transport, datagram) {
             Ok(cost) => cost,
             Err(outcome) => return outcome,
@@ -385,7 +427,8 @@ pub enum Step {
     Waits,
     /// All of it was sent.
     Done,
-    /// The reader made the writer wait for too long: the rest is to be sent behind it.
+    /// The reader made the writer wait for too long, or is on another host: the rest is to be sent
+    /// behind it.
     Slow,
     /// The reader took nothing for too long: the rest is not sent.
     Lost,
@@ -402,6 +445,9 @@ impl Delivery {
 
     /// Sends what there is room for now, a turn at most.
     pub fn step(&mut self, transport: &Transport) -> Step {
+        if self.kind == Kind::New && !self.link.place.near {
+            return Step::Slow;
+        }
         let sample = Arc::clone(&self.sample);
         let payload = sample.payload(self.names_hash);
         let fragments = self.link.fragments(payload.len());
@@ -417,7 +463,7 @@ impl Delivery {
             match self.link.send(transport, &parts) {
                 Outcome::Sent => {}
                 Outcome::NotNow | Outcome::TooSoon if turn > 0 => return Step::Sent,
-                Outcome::NotNow => return self.wait(),
+                Outcome::NotNow => return self.wait(transport),
                 Outcome::TooSoon => return Step::Waits,
                 Outcome::Gone => return Step::Gone,
             }
@@ -472,11 +518,11 @@ impl Delivery {
         behind
     }
 
-    fn wait(&mut self) -> Step {
+    fn wait(&mut self, transport: &Transport) -> Step {
         let now = Instant::now();
         let since = *self.progress.waits_since.get_or_insert(now);
         let waits = now.duration_since(since);
-        let mut room = lock(&self.link.room);
+        let mut room = self.link.room(transport);
         room.stalled |= waits > PATIENCE_BEHIND;
         if room.stalled {
             Step::Lost
@@ -549,7 +595,7 @@ mod tests {
             only: None,
             pulse: None,
             progress: Progress::default(),
-            kind: Kind::New,
+            kind: Kind::Rest,
             under_way: Arc::default(),
         };
         let start = Instant::now();

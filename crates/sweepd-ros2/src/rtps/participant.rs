@@ -3,7 +3,9 @@
 //! One thread receives, and sends what is small. Samples leave in the thread that writes them; a
 //! second thread sends what readers ask for again, and to slow ones the rest of a sample. The state is locked for moments only, and never while something is sent.
 
-use super::discovery::{Discovery, News, ParticipantData, Place, ReaderData};
+use super::discovery::{
+    Discovery, MAX_PARTICIPANTS, MAX_READERS, News, ParticipantData, Place, ReaderData, is_own,
+};
 use super::flow::{self, Delivery, Kind, Link, SocketMemory, Step, Transport, lock};
 use super::parameters::{self, ParameterList};
 use super::sample::Body;
@@ -42,6 +44,13 @@ const MAX_BEHIND: usize = 256;
 /// Disposals that are kept for others to hear of.
 const DISPOSALS: usize = 32;
 
+/// Bytes of answers for each byte of a datagram, to an address from which nothing was acknowledged: it
+/// may be another's.
+const ANSWER_RATIO: usize = 3;
+
+/// Between warnings that there is no room for others.
+const TELL_EVERY: Duration = Duration::from_secs(60);
+
 /// Readers whose demands were told of once.
 const MAX_WARNINGS: usize = 64;
 
@@ -58,6 +67,8 @@ struct State {
     addresses: Vec<Ipv4Addr>,
     entities: u32,
     acknacks: u32,
+    /// When it was told last that there is no room for others.
+    told_full: Option<Instant>,
 }
 
 struct Shared {
@@ -251,6 +262,8 @@ fn publication(guid: Guid, participant: Guid, offer: &Offer) -> Vec<u8> {
 #[derive(Default)]
 struct Ways {
     links: BTreeMap<SocketAddrV4, Arc<Link>>,
+    /// Hosts from which a participant has acknowledged something.
+    confirmed: BTreeSet<Ipv4Addr>,
     /// Readers that ask for more than is offered, and were told of.
     warned: BTreeSet<Guid>,
 }
@@ -258,7 +271,19 @@ struct Ways {
 impl Ways {
     fn link(&mut self, place: Place) -> Arc<Link> {
         let link = self.links.entry(place.address);
-        Arc::clone(link.or_insert_with(|| Arc::new(Link::new(place))))
+        let link = link.or_insert_with(|| Arc::new(Link::new(place)));
+        if self.confirmed.contains(&link.host()) {
+            link.confirm();
+        }
+        Arc::clone(link)
+    }
+
+    /// A participant on a host has acknowledged something: samples may go there.
+    fn confirm(&mut self, host: Ipv4Addr) {
+        if self.confirmed.insert(host) {
+            let there = self.links.values().filter(|link| link.host() == host);
+            there.for_each(|link| link.confirm());
+        }
     }
 
     /// Gives a reader to a writer that it matches. One that asks for more than is offered is told
@@ -290,6 +315,8 @@ impl Ways {
 
     fn drop_unused(&mut self) {
         self.links.retain(|_, link| Arc::strong_count(link) > 1);
+        let hosts: BTreeSet<Ipv4Addr> = self.links.values().map(|link| link.host()).collect();
+        self.confirmed.retain(|host| hosts.contains(host));
     }
 }
 
@@ -306,6 +333,7 @@ impl Shared {
             addresses: sockets::addresses()?,
             entities: 0,
             acknacks: 0,
+            told_full: None,
         };
         Ok(Self {
             prefix,
@@ -454,6 +482,7 @@ impl Shared {
         for (_, writer) in state.writers.values_mut() {
             writer.tick(now, &mut out);
         }
+        state.tell_full(now);
         out
     }
 
@@ -547,12 +576,16 @@ impl Shared {
         let mut out = Outbox::default();
         let mut state = lock(&self.state);
         if self.hears(source, &state.addresses)
-            && let Some(submessages) = wire::read(datagram, self.prefix)
+            && let Some(mut submessages) = wire::read(datagram, self.prefix)
         {
             let prefix = submessages.source;
-            for submessage in submessages {
+            while let Some(submessage) = submessages.next() {
+                if submessages.names_us && submessage.acknowledges() {
+                    self.confirm(&mut state, prefix, source, &mut out);
+                }
                 self.take(&mut state, prefix, source, submessage, &mut out);
             }
+            state.limit(&mut out, ANSWER_RATIO * datagram.len());
         }
         out
     }
@@ -615,6 +648,23 @@ impl Shared {
         }
     }
 
+    /// A participant that names us acknowledges something: its host may get samples.
+    fn confirm(&self, state: &mut State, prefix: Prefix, source: Ipv4Addr, out: &mut Outbox) {
+        let elsewhere = state
+            .discovery
+            .seen_elsewhere(prefix, source, &state.addresses);
+        if let Some(data) = elsewhere {
+            self.meet(state, prefix, data, out);
+        }
+        if state
+            .discovery
+            .acknowledged(prefix, source, &state.addresses)
+        {
+            let host = state.host(source);
+            state.ways.confirm(host);
+        }
+    }
+
     fn acknack(&self, state: &mut State, to: Prefix, missing: &wire::NumberSet) -> Message {
         // One count for all, so that it goes on for one that was forgotten and comes back.
         state.acknacks = state.acknacks.wrapping_add(1);
@@ -632,14 +682,22 @@ impl Shared {
     /// and that we have heard of no reader of its yet.
     fn meet(&self, state: &mut State, prefix: Prefix, data: ParticipantData, out: &mut Outbox) {
         let place = data.meta;
+        if let Some(displaced) = state.discovery.displaced_by(prefix) {
+            state.discovery.forget(displaced);
+            state.forget(displaced);
+        }
         let news = state.discovery.participant(prefix, data, Instant::now());
         if news == News::Known {
             return;
         }
         let announcement = self.announcement(&state.addresses);
         out.message(place.address, announcement);
-        if news == News::Unaware {
+        if news == News::Unaware && state.discovery.is_confirmed(prefix) {
             return;
+        }
+        if news == News::New {
+            // One that was here before has moved: its readers, too.
+            state.forget(prefix);
         }
         let nothing = wire::NumberSet::new(1);
         let acknack = self.acknack(state, prefix, &nothing);
@@ -650,12 +708,44 @@ impl Shared {
             publications.remove_readers(|guid| guid == reader.guid);
             publications.add_reader(&reader, link, Instant::now(), out);
         }
-        // One that was here before may have moved.
-        state.ways.drop_unused();
     }
 }
 
 impl State {
+    /// One name for all addresses of this host.
+    fn host(&self, address: Ipv4Addr) -> Ipv4Addr {
+        match is_own(&address, &self.addresses) {
+            true => Ipv4Addr::LOCALHOST,
+            false => address,
+        }
+    }
+
+    /// Takes messages out that have more than so many bytes in all, of those to hosts from which
+    /// nothing was acknowledged.
+    fn limit(&self, out: &mut Outbox, bytes: usize) {
+        let mut left = bytes;
+        out.messages.retain(|(to, message)| {
+            if self.ways.confirmed.contains(&self.host(*to.ip())) {
+                return true;
+            }
+            let rest = left.checked_sub(message.bytes().len());
+            left = rest.unwrap_or(left);
+            rest.is_some()
+        });
+    }
+
+    /// Warns, now and then, that somebody found no room.
+    fn tell_full(&mut self, now: Instant) {
+        let is_due = self.told_full.is_none_or(|at| now - at > TELL_EVERY);
+        if std::mem::take(&mut self.discovery.is_full) && is_due {
+            self.told_full = Some(now);
+            log::warn(format_args!(
+                "{MAX_PARTICIPANTS} participants or {MAX_READERS} subscribers are known on this ROS domain, the most \
+                 that there is room for: others may get nothing until some leave"
+            ));
+        }
+    }
+
     /// Gives a writer what a reader says of its samples; anything else is for nobody here.
     fn acknowledged(&mut self, prefix: Prefix, submessage: Submessage, out: &mut Outbox) {
         let now = Instant::now();

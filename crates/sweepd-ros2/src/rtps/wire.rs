@@ -422,10 +422,19 @@ pub enum Submessage<'a> {
     },
 }
 
+impl Submessage<'_> {
+    /// Whether its sender says what it has of a writer of ours.
+    pub fn acknowledges(&self) -> bool {
+        matches!(self, Self::AckNack { .. } | Self::NackFragment { .. })
+    }
+}
+
 /// The submessages of a datagram that are for a participant.
 pub struct Submessages<'a> {
     /// Who sent it.
     pub source: Prefix,
+    /// It names us as who is to get the next submessage: its sender has heard from us.
+    pub names_us: bool,
     own: Prefix,
     for_us: bool,
     rest: &'a [u8],
@@ -439,6 +448,7 @@ pub fn read(datagram: &[u8], own: Prefix) -> Option<Submessages<'_>> {
     }
     Some(Submessages {
         source,
+        names_us: false,
         own,
         for_us: true,
         rest: &datagram[20..],
@@ -464,7 +474,8 @@ impl<'a> Iterator for Submessages<'a> {
             self.rest = &self.rest[4 + length..];
             if kind == INFO_DESTINATION {
                 let prefix = body.get(..12)?;
-                self.for_us = prefix == self.own || prefix == [0; 12];
+                self.names_us = prefix == self.own;
+                self.for_us = self.names_us || prefix == [0; 12];
             } else if self.for_us {
                 let fields = Fields::new(body, little_endian);
                 if let Some(submessage) = read_submessage(kind, flags, fields) {

@@ -130,6 +130,8 @@ struct Reader {
     /// It is asked again that much later.
     interval: Duration,
     skipped: u64,
+    /// It has still to get the history, once it has acknowledged something.
+    is_owed: bool,
     /// A sample whose rest is sent to it behind the writer. It gets no other meanwhile.
     under_way: Weak<()>,
     /// When samples were last sent again, of late.
@@ -232,7 +234,7 @@ impl Writer {
         } else {
             newest.max(self.complete) + 1
         };
-        let place = link.place;
+        let (place, is_confirmed) = (link.place, link.is_confirmed());
         let reader = Reader {
             link,
             reliable: data.reliable,
@@ -242,24 +244,36 @@ impl Writer {
             asked: now,
             interval: HEARTBEAT_INTERVAL,
             skipped: 0,
+            is_owed: late,
             under_way: Weak::new(),
             repaired: BTreeMap::new(),
         };
         self.readers.insert(data.guid, reader);
         self.reader_count_changed();
-        if late {
-            let samples: Vec<u64> = self.history.iter().map(|sample| sample.number).collect();
-            for number in samples {
-                self.repair(data.guid, number, None, now, out);
-            }
+        if late && is_confirmed {
+            self.send_history(data.guid, now, out);
         } else if data.reliable {
             let mut message = Message::to(self.guid.prefix, data.guid.prefix);
             if from > 1 {
                 message.gap(data.guid.entity, self.guid.entity, 1, from);
             }
-            let nothing = self.pulse(from, from - 1);
-            message.heartbeat(data.guid.entity, self.guid.entity, nothing.beat());
+            let pulse = match late {
+                true => self.pulse(self.first(), self.complete),
+                false => self.pulse(from, from - 1),
+            };
+            message.heartbeat(data.guid.entity, self.guid.entity, pulse.beat());
             out.message(place.address, message);
+        }
+    }
+
+    /// Gives a reader what was written before it was there.
+    fn send_history(&mut self, to: Guid, now: Instant, out: &mut Outbox) {
+        if let Some(reader) = self.readers.get_mut(&to) {
+            reader.is_owed = false;
+        }
+        let samples: Vec<u64> = self.history.iter().map(|sample| sample.number).collect();
+        for number in samples {
+            self.repair(to, number, None, now, out);
         }
     }
 
@@ -300,7 +314,8 @@ impl Writer {
             reader.skipped += 1;
         }
         let mut deliveries: Vec<Delivery> = vec![];
-        for (guid, reader) in self.readers.iter().filter(|(_, reader)| !reader.is_busy()) {
+        let can_take = |reader: &Reader| reader.link.is_confirmed() && !reader.is_busy();
+        for (guid, reader) in self.readers.iter().filter(|(_, reader)| can_take(reader)) {
             let by_reader = matches!(sample.body, Body::ByReader { .. });
             let same_place = deliveries
                 .iter_mut()
@@ -434,7 +449,7 @@ impl Writer {
         let Some(reader) = self.readers.get_mut(&to) else {
             return true;
         };
-        if reader.wants(number, now) {
+        if reader.link.is_confirmed() && reader.wants(number, now) {
             let pulse = reader
                 .reliable
                 .then_some([first.max(reader.from), self.complete]);
@@ -498,12 +513,21 @@ impl Writer {
         }
     }
 
-    /// Asks readers that have not said that they have all.
+    /// Asks readers that have not said that they have all, and gives the history to those that have
+    /// acknowledged something since they came.
     pub fn tick(&mut self, now: Instant, out: &mut Outbox) {
+        let owed = |(guid, reader): (&Guid, &Reader)| {
+            (reader.is_owed && reader.link.is_confirmed()).then_some(*guid)
+        };
+        let owed: Vec<Guid> = self.readers.iter().filter_map(owed).collect();
+        for reader in owed {
+            self.send_history(reader, now, out);
+        }
         let pulse = self.pulse(self.first(), self.complete);
         for (guid, reader) in &mut self.readers {
             let waiting = reader.reliable && reader.acknowledged < self.complete;
-            if !waiting || reader.is_busy() || now < reader.asked + reader.interval {
+            let can_answer = reader.link.is_confirmed() && !reader.is_busy();
+            if !waiting || !can_answer || now < reader.asked + reader.interval {
                 continue;
             }
             reader.ask_after((reader.interval * 2).min(LONGEST_INTERVAL), now);

@@ -36,12 +36,31 @@ fn deaf(domain: u16) -> (Participant, WriterHandle) {
 
 /// "I am here."
 fn participant_data(prefix: Prefix) -> Message {
+    participant_at(prefix, &[Ipv4Addr::LOCALHOST])
+}
+
+/// "I am at one of these addresses."
+fn participant_at(prefix: Prefix, addresses: &[Ipv4Addr]) -> Message {
     let mut list = ParameterList::new();
     for parameter in [parameters::METATRAFFIC_LOCATOR, parameters::DEFAULT_LOCATOR] {
-        list.locator(parameter, SocketAddrV4::new(Ipv4Addr::LOCALHOST, 9));
+        for address in addresses {
+            list.locator(parameter, SocketAddrV4::new(*address, 9));
+        }
     }
     list.numbers(parameters::PARTICIPANT_LEASE, &[20, 0]);
     data(prefix, wire::PARTICIPANTS_WRITER, 1, &list.end())
+}
+
+/// "You have told me of no writer of yours."
+fn acknowledgement(prefix: Prefix, participant: &Participant) -> Message {
+    let mut message = Message::to(prefix, participant.guid().prefix);
+    message.acknack(
+        wire::PUBLICATIONS_READER,
+        wire::PUBLICATIONS_WRITER,
+        &NumberSet::new(1),
+        1,
+    );
+    message
 }
 
 /// "I have a reader."
@@ -149,9 +168,11 @@ fn take(participant: &Participant, datagram: &[u8]) -> Outbox {
 fn sensible_datagrams_are_understood() {
     let (participant, writer) = deaf(208);
     let [here, reads, others, ended] = sensible(writer.guid).try_into().unwrap();
-    // That we are there too, and that we have heard of no reader; and both writers' history.
-    let out = take(&participant, &here);
-    assert_eq!((out.messages.len(), out.repairs.len()), (2, 1));
+    // Once it has acknowledged something, the publications; and for a reader, the writer's history.
+    take(&participant, &here);
+    take(&participant, acknowledgement([7; 12], &participant).bytes());
+    let out = participant.shared.tick(Instant::now());
+    assert_eq!((out.messages.len(), out.repairs.len()), (0, 1));
     let out = take(&participant, &reads);
     assert_eq!((out.messages.len(), out.repairs.len()), (0, 5));
     assert_eq!(writer.counters.readers.load(Ordering::Relaxed), 1);
@@ -206,9 +227,21 @@ fn a_flood_fills_what_there_is_room_for() {
         prefix[..4].copy_from_slice(&number.to_le_bytes());
         prefix
     };
-    for number in 0..1000 {
+    take(&participant, participant_data(prefix(0)).bytes());
+    take(
+        &participant,
+        acknowledgement(prefix(0), &participant).bytes(),
+    );
+    for number in 1..1000 {
         take(&participant, participant_data(prefix(number)).bytes());
     }
+    assert!(lock(&participant.shared.state).discovery.is_full);
+    // One that is new displaces one that has acknowledged nothing.
+    assert!(
+        lock(&participant.shared.state)
+            .discovery
+            .is_confirmed(prefix(0))
+    );
     for number in 0..6000_u16 {
         let message = reader_data(prefix(0), 1 + u64::from(number), number);
         participant
@@ -234,6 +267,7 @@ fn a_reader_that_keeps_saying_that_it_has_nothing_is_told_what_there_is() {
     let (participant, writer) = deaf(213);
     let prefix = [7; 12];
     take(&participant, participant_data(prefix).bytes());
+    take(&participant, acknowledgement(prefix, &participant).bytes());
     take(&participant, reader_data(prefix, 1, 1).bytes());
     let reader = Guid::new(prefix, [0, 0, 1, 4]);
     let mut state = lock(&participant.shared.state);
@@ -265,4 +299,96 @@ fn others_are_not_heard_where_they_must_not_be() {
         .shared
         .receive(here.bytes(), Ipv4Addr::LOCALHOST);
     assert_eq!(lock(&participant.shared.state).discovery.counts(), (1, 0));
+}
+
+/// What goes to whom when a sample is written.
+fn written_to(participant: &Participant, writer: &WriterHandle) -> Vec<SocketAddrV4> {
+    let mut state = lock(&participant.shared.state);
+    let (_, writer) = state.writers.get_mut(&writer.guid.entity).unwrap();
+    let deliveries = writer.begin(Body::Same(vec![0; 200_000])).unwrap();
+    let to = deliveries.iter().map(|one| one.link.place.address);
+    let to = to.collect();
+    writer.finish(vec![], Instant::now());
+    to
+}
+
+#[test]
+fn samples_go_to_no_address_from_which_nothing_was_acknowledged() {
+    let (participant, writer) = deaf(214);
+    let victim = Ipv4Addr::new(198, 51, 100, 9);
+    for number in 0..200 {
+        let prefix = [number; 12];
+        let message = participant_at(prefix, &[victim]);
+        let out = take(&participant, message.bytes());
+        let bytes: usize = out.messages.iter().map(|(_, one)| one.bytes().len()).sum();
+        assert!(bytes <= 3 * message.bytes().len() && out.repairs.is_empty());
+        let out = take(&participant, reader_data(prefix, 1, 1).bytes());
+        assert!(out.repairs.is_empty());
+        // From here, for a place elsewhere.
+        let out = take(&participant, acknowledgement(prefix, &participant).bytes());
+        assert!(out.messages.is_empty() && out.repairs.is_empty());
+    }
+    assert_eq!(writer.counters.readers.load(Ordering::Relaxed), 200);
+    assert!(written_to(&participant, &writer).is_empty());
+    let later = Instant::now() + Duration::from_secs(2);
+    let out = participant.shared.tick(later);
+    assert!(out.messages.is_empty() && out.repairs.is_empty());
+
+    // An honest one beside them.
+    let prefix = [250; 12];
+    take(&participant, participant_data(prefix).bytes());
+    take(&participant, reader_data(prefix, 1, 1).bytes());
+    assert!(written_to(&participant, &writer).is_empty());
+    // What names nobody could come from anyone.
+    let mut unnamed = Message::new(prefix);
+    unnamed.acknack(
+        wire::PUBLICATIONS_READER,
+        wire::PUBLICATIONS_WRITER,
+        &NumberSet::new(1),
+        1,
+    );
+    take(&participant, unnamed.bytes());
+    assert!(written_to(&participant, &writer).is_empty());
+    take(&participant, acknowledgement(prefix, &participant).bytes());
+    let honest = SocketAddrV4::new(Ipv4Addr::LOCALHOST, 9);
+    assert_eq!(written_to(&participant, &writer), [honest]);
+
+    // Those that acknowledge nothing are forgotten within seconds.
+    participant.shared.tick(later + Duration::from_secs(4));
+    assert_eq!(lock(&participant.shared.state).discovery.counts(), (1, 1));
+}
+
+#[test]
+fn a_host_with_two_addresses_is_reached_at_the_one_that_answers() {
+    let environment = Environment {
+        domain: 215,
+        range: DiscoveryRange::Subnet,
+        static_peers: vec![],
+    };
+    let participant = Participant {
+        shared: Arc::new(Shared::open(&environment, "test", "/").unwrap()),
+        threads: Mutex::default(),
+    };
+    let writer = participant.add_writer(Offer {
+        topic: TOPIC.to_owned(),
+        type_name: TYPE.to_owned(),
+        type_hash: "RIHS01_0",
+        transient_local: true,
+        depth: 1,
+    });
+    let wired = Ipv4Addr::new(198, 51, 100, 7);
+    let wireless = Ipv4Addr::new(203, 0, 113, 7);
+    let prefix = [7; 12];
+    let here = participant_at(prefix, &[wired, wireless]);
+    let receive = |message: &Message, source| participant.shared.receive(message.bytes(), source);
+    receive(&here, wireless);
+    receive(&reader_data(prefix, 1, 1), wireless);
+    receive(&acknowledgement(prefix, &participant), wired);
+    // It tells of its readers again.
+    receive(&reader_data(prefix, 1, 1), wired);
+    let place = SocketAddrV4::new(wired, 9);
+    assert_eq!(written_to(&participant, &writer), [place]);
+    // What it says through the other one changes nothing.
+    receive(&here, wireless);
+    assert_eq!(written_to(&participant, &writer), [place]);
 }
