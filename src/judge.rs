@@ -8,9 +8,11 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
+use crate::gps::cure_sentence;
 use crate::text::{count_of, grouped};
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::eye::eye_faults;
+use sweepd_core::wire::nmea::NmeaError;
 use sweepd_core::wire::position::Pps;
 
 /// How bad it is.
@@ -130,6 +132,9 @@ impl fmt::Display for Finding {
 /// Greatest error of a clock, seconds: beyond it, times no longer fit those of other sensors.
 pub const CLOCK_OFF_S: f64 = 0.1;
 
+/// Whether a GPS receiver has a fix, or why its sentence is not read; `None` without a receiver.
+pub type Fix = Option<Result<bool, NmeaError>>;
+
 /// What can change again and again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
@@ -195,6 +200,8 @@ pub enum Remark {
         /// Whether the receiver has a fix; `None` without a receiver.
         fix: Option<bool>,
     },
+    /// The sentence of its GPS receiver is not read.
+    UnreadSentence(NmeaError),
     /// How far the host's clock is ahead of UTC by GPS, seconds.
     HostClock(f64),
     /// It measures a part of each turn alone.
@@ -203,9 +210,12 @@ pub enum Remark {
 
 impl Remark {
     /// What pulse and receiver of a model say. An HDL-32E does not report the pulse.
-    pub fn of_gps(model: Option<Model>, pps: Pps, fix: Option<bool>) -> Option<Self> {
-        let is_untold = model? == Model::Hdl32e && fix == Some(true);
-        (!is_untold).then_some(Self::Gps { pps, fix })
+    pub fn of_gps(model: Option<Model>, pps: Pps, fix: Fix) -> Option<Self> {
+        match (model?, fix.transpose()) {
+            (_, Err(error)) => Some(Self::UnreadSentence(error)),
+            (Model::Hdl32e, Ok(Some(true))) => None,
+            (_, Ok(fix)) => Some(Self::Gps { pps, fix }),
+        }
     }
 
     /// Whether it is about what changes again and again, which silence does not end.
@@ -243,6 +253,11 @@ impl Remark {
                 let cure = "if that is not meant, set FOV Start 0 and FOV End 359 on its web page and press Save";
                 return Some(Finding::new(Severity::Note, Topic::View, what, cure));
             }
+            Self::UnreadSentence(error) => (
+                Topic::Clock,
+                format!("the sentence of the GPS receiver is not read: {error}"),
+                cure_sentence(error).to_owned(),
+            ),
             Self::HostClock(ahead_s) => (
                 Topic::Clock,
                 format!(

@@ -120,7 +120,7 @@ impl DiscoveredSensors {
         &self.senders
     }
 
-    /// The latest position packet from the sensor's address, without its sentence; it may have come
+    /// The latest position packet from the sensor's address, without the text of its sentence; it may have come
     /// before the first data packet. `None` if it is another sensor's.
     ///
     /// # Panics
@@ -229,7 +229,7 @@ impl DiscoveredSensors {
         if !self.filters.is_empty() && !self.filters.iter().any(|filter| filter.matches_ip(ip)) {
             return Err(Refusal::Source.into());
         }
-        let Some(packet) = packet.without_sentence() else {
+        let Some(packet) = packet.without_text() else {
             return Ok(());
         };
         if let Some(at) = self.kept.iter().position(|kept| kept.source.ip() == ip) {

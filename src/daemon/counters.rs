@@ -9,6 +9,7 @@ use std::sync::{Mutex, PoisonError};
 
 use super::losses::Tally;
 use crate::admission::Refusal;
+use crate::judge::Fix;
 use crate::sensor_settings::FieldOfView;
 use crate::strangers::{Stranger, Strangers};
 use sweepd_core::pipeline::{Counts, DarkBeam};
@@ -18,6 +19,7 @@ use sweepd_core::sweep::Header;
 use sweepd_core::sweep::layout::{TimeSource, flags};
 use sweepd_core::wire::Datagram;
 use sweepd_core::wire::data::ReturnMode;
+use sweepd_core::wire::nmea::NmeaError;
 use sweepd_core::wire::position::Pps;
 
 /// A number that only grows.
@@ -233,6 +235,8 @@ const PULSE_KNOWN: u32 = 1 << 8;
 /// Set where there is a GPS receiver, and where that has a fix.
 const RECEIVER: u32 = 1 << 9;
 const FIX: u32 = 1 << 10;
+/// Above these, why its sentence is not read.
+const UNREAD_SHIFT: u32 = 11;
 /// Set where the factory byte says other beams.
 const OTHER_BEAMS: u32 = 1 << 8;
 /// Added to a temperature, so that 0 can mean none.
@@ -333,22 +337,23 @@ impl SensorCounters {
         &self.stages[stage as usize]
     }
 
-    /// Notes what the sensor says of pulse per second and GPS receiver: whether that has a fix, or
-    /// `None` without one.
-    pub fn set_pulse(&self, pps: Pps, fix: Option<bool>) {
+    /// Notes what the sensor says of pulse per second and GPS receiver.
+    pub fn set_pulse(&self, pps: Pps, fix: Fix) {
         let receiver = match fix {
             None => 0,
-            Some(false) => RECEIVER,
-            Some(true) => RECEIVER | FIX,
+            Some(Ok(false)) => RECEIVER,
+            Some(Ok(true)) => RECEIVER | FIX,
+            Some(Err(error)) => RECEIVER | error.code() << UNREAD_SHIFT,
         };
         let said = PULSE_KNOWN | u32::from(pps.byte()) | receiver;
         self.pulse.store(said, Relaxed);
     }
 
     /// What the sensor says of pulse per second and GPS receiver, if it does.
-    pub fn pulse(&self) -> Option<(Pps, Option<bool>)> {
+    pub fn pulse(&self) -> Option<(Pps, Fix)> {
         let said = self.pulse.load(Relaxed);
-        let fix = (said & RECEIVER != 0).then_some(said & FIX != 0);
+        let unread = NmeaError::from_code(said >> UNREAD_SHIFT);
+        let fix = (said & RECEIVER != 0).then_some(unread.map_or(Ok(said & FIX != 0), Err));
         (said != 0).then(|| (Pps::from_byte(said as u8), fix))
     }
 
@@ -560,6 +565,13 @@ mod tests {
         for degrees in [-40, 0, 41] {
             counters.set_temperature_c(degrees);
             assert_eq!(counters.temperature_c(), Some(degrees));
+        }
+        let (found, computed) = (0xFF, 0xFF);
+        let unread = [NmeaError::NotRmc, NmeaError::Checksum { found, computed }];
+        let read = [None, Some(Ok(false)), Some(Ok(true))].into_iter();
+        for fix in read.chain(unread.map(|error| Some(Err(error)))) {
+            counters.set_pulse(Pps::Unknown(255), fix);
+            assert_eq!(counters.pulse(), Some((Pps::Unknown(255), fix)));
         }
         counters.set_gps(Gps::Locked);
         assert_eq!(counters.gps(), Some(Gps::Locked));

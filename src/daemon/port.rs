@@ -365,7 +365,7 @@ impl<B: Buffers<Buffer: Outgoing>> PortState<B> {
             return;
         }
         let queue = &self.others[index - self.sensors.len()];
-        if let Some(packet) = packet.without_sentence()
+        if let Some(packet) = packet.without_text()
             && queue.sender.try_send(packet).is_err()
         {
             queue.counters.position_overflows.add(1);

@@ -172,13 +172,12 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     /// Takes a position packet.
     pub fn position(&mut self, packet: &Packet<'_>) {
         self.pipeline.push(packet);
-        if let Content::Position(position, rmc) = &packet.content {
+        if let Content::Position(position, sentence) = &packet.content {
             let without_pps = self.config.gps_without_pps;
-            // From another port it comes without the text of its sentence.
-            let fix = rmc.as_ref().map(|rmc| rmc.valid);
-            let fix = fix.or(position.nmea.map(|_| false));
+            let fix = sentence.map(|read| read.map(|rmc| rmc.valid));
+            let rmc = sentence.and_then(Result::ok);
             // Where the pulse is not asked for, the sentence vouches for it.
-            let pps = match without_pps && fix == Some(true) {
+            let pps = match without_pps && fix == Some(Ok(true)) {
                 true => Pps::Locked,
                 false => position.pps,
             };

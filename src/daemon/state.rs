@@ -6,10 +6,10 @@ mod changes;
 use std::fmt;
 use std::time::Duration;
 
-use changes::{Changes, HostClock};
+use changes::{Changes, HostClock, Receiver};
 
 use super::losses::{Level, Limits, Losses, Recent, SensorAddress, Tally, Turn};
-use crate::judge::{self, Finding, Remark, Severity, Topic};
+use crate::judge::{self, Finding, Fix, Remark, Severity, Topic};
 use crate::sensor_settings::{FieldOfView, Settings};
 use crate::strangers::Cause;
 use crate::{beams, floor, gps};
@@ -122,8 +122,8 @@ pub struct Facts {
     pub restarts: u64,
     /// Times that its clock jumped while packets came.
     pub clock_jumps: u64,
-    /// The pulse per second, and whether the GPS receiver has a fix, if there is one.
-    pub pulse: Option<(Pps, Option<bool>)>,
+    /// The pulse per second, and the GPS receiver.
+    pub pulse: Option<(Pps, Fix)>,
     /// How far the host's clock is ahead of UTC by GPS, seconds, where GPS vouches for it.
     pub host_ahead_s: Option<f64>,
     /// Whether it leaves out a part of each turn.
@@ -228,6 +228,7 @@ pub struct Watcher {
     calibration: Option<Remark>,
     changes: Changes,
     host_clock: HostClock,
+    receiver: Receiver,
     /// Model and mode as last logged.
     told: Option<(Model, ReturnMode)>,
 }
@@ -265,6 +266,7 @@ impl Watcher {
             calibration: None,
             changes: Changes::default(),
             host_clock: HostClock::default(),
+            receiver: Receiver::default(),
             told: None,
         }
     }
@@ -459,8 +461,8 @@ impl Watcher {
         {
             remarks.push(Remark::Duplicates(counted.duplicates));
         }
-        let gps = (facts.pulse).and_then(|(pps, fix)| Remark::of_gps(model, pps, fix));
-        remarks.extend(gps);
+        let pulse = self.receiver.take(now.now, facts.pulse);
+        remarks.extend(pulse.and_then(|(pps, fix)| Remark::of_gps(model, pps, fix)));
         // The doubt has both dates.
         let is_far = matches!(self.time.1, Some(GpsDoubt::Far { .. }));
         let ahead_s = facts.host_ahead_s.filter(|_| !is_far);

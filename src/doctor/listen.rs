@@ -18,7 +18,6 @@ use sweepd_core::pipeline::{Config, Event, Notice, Pipeline};
 use sweepd_core::segment::ConfigError;
 use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::{TimeSource, flags};
-use sweepd_core::wire::nmea::Rmc;
 use sweepd_core::wire::{Content, Packet};
 
 /// Senders of position packets that are remembered.
@@ -162,7 +161,7 @@ impl Listener {
                 Ok(Ok((Route::Position(_), packet))) => {
                     let address = datagram.source.ip();
                     note_position(positions, address, &packet);
-                    if let Some(packet) = packet.without_sentence() {
+                    if let Some(packet) = packet.without_text() {
                         for_sensors.push((address, packet));
                     }
                 }
@@ -268,23 +267,20 @@ impl DecodedSensor {
 }
 
 fn note_position(positions: &mut Vec<PositionSender>, address: IpAddr, packet: &Packet<'_>) {
-    let Content::Position(position, rmc) = packet.content else {
+    let Content::Position(position, sentence) = packet.content else {
         return;
     };
-    let fix = position.nmea.map(|_| rmc.is_some_and(|rmc| rmc.valid));
-    let unread = position.nmea.and_then(|text| Rmc::parse(text).err());
+    let fix = sentence.map(|read| read.map(|rmc| rmc.valid));
     if let Some(known) = positions.iter_mut().find(|known| known.address == address) {
         known.packets += 1;
         known.pps = position.pps;
         known.fix = fix;
-        known.unread = unread;
     } else if positions.len() < MAX_POSITIONS {
         positions.push(PositionSender {
             address,
             packets: 1,
             pps: position.pps,
             fix,
-            unread,
         });
     }
 }

@@ -7,6 +7,7 @@ use serde_json::Value;
 
 use super::plan::{ExaminedPort, ExpectedSensor, Plan};
 use crate::input::udp::ReceiveBuffer;
+use crate::judge::Fix;
 use crate::network::Drops;
 pub use crate::network::Interface;
 use crate::sensor_settings::FieldOfView;
@@ -17,7 +18,6 @@ use sweepd_core::floor::Sight;
 use sweepd_core::pipeline::{Counts, DarkBeam};
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::data::ReturnMode;
-use sweepd_core::wire::nmea::NmeaError;
 use sweepd_core::wire::position::Pps;
 
 /// All that was seen.
@@ -207,10 +207,8 @@ pub struct PositionSender {
     pub packets: u64,
     /// State of the pulse per second in the last one.
     pub pps: Pps,
-    /// Whether the last one had a sentence of a GPS receiver, and that one a fix.
-    pub fix: Option<bool>,
-    /// Why the newest sentence cannot be read, if so.
-    pub unread: Option<NmeaError>,
+    /// The GPS receiver, by the last one.
+    pub fix: Fix,
 }
 
 /// This host.

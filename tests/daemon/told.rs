@@ -7,7 +7,7 @@ use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode;
 
 use crate::child::{Daemon, write};
-use crate::rig::{Sending, Sent, free_port, stream_without_gps, until};
+use crate::rig::{Sending, Sent, free_port, stream, stream_without_gps, until};
 
 const WATCHDOG: Duration = Duration::from_secs(8);
 
@@ -71,6 +71,22 @@ fn a_sensor_that_restarts_is_told_with_how_often() {
     }
     let _sending = Sending::start(132, (port, port), sent);
     assert!(until_told(&daemon, "it restarted 2 times").contains("its supply"));
+}
+
+/// Position packets that come by a port of their own wait for the thread of the sensor.
+#[test]
+fn a_sentence_of_another_kind_is_told_where_it_comes_by_another_port() {
+    let (port, position_port) = (free_port(), free_port());
+    let daemon = Daemon::start(&[[134, port, position_port]], free_port(), WATCHDOG);
+    daemon.until_ready();
+    let mut sent = stream(Model::Vlp16, ReturnMode::Strongest, 150.0);
+    for position in sent.iter_mut().filter(|sent| !sent.is_data) {
+        // The sentence begins at 0x0CE.
+        position.payload[0x0CE..0x0D4].copy_from_slice(b"$GPGGA");
+    }
+    let _sending = Sending::start(134, (port, position_port), sent);
+    let cure = until_told(&daemon, "not read: not an RMC sentence");
+    assert!(cure.contains("$GPRMC"), "{cure}");
 }
 
 #[test]

@@ -234,10 +234,11 @@ impl Pipeline {
                 let pushed = self.state.push(&packet, &self.setup, &mut self.report);
                 self.report.note_fault(pushed);
             }
-            Content::Position(position, rmc) => {
+            Content::Position(position, sentence) => {
                 self.report.counts.position += 1;
                 if let Some(clocks) = self.state.clocks_mut() {
                     let without_pps = self.setup.config.gps_without_pps;
+                    let rmc = sentence.and_then(Result::ok);
                     let heard = Heard::of(&position, rmc.as_ref(), without_pps);
                     clocks.note_utc(heard, position.stamp_us, arrival_ns);
                 }

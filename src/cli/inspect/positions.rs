@@ -27,10 +27,12 @@ pub(super) struct Positions {
 impl Positions {
     /// Adds a position packet; ignores a data packet.
     pub(super) fn add(&mut self, packet: &Packet<'_>) {
-        let Content::Position(position, rmc) = packet.content else {
+        let Content::Position(position, sentence) = packet.content else {
             return;
         };
-        if let Some(rmc) = rmc.filter(|rmc| rmc.valid) {
+        if let Some(Ok(rmc)) = sentence
+            && rmc.valid
+        {
             let heard = Heard::Utc(rmc.utc_ns);
             self.time.hear(heard, position.stamp_us, packet.arrival_ns);
             self.doubt = self.time.doubt().or(self.doubt);

@@ -1,20 +1,22 @@
 //! How often a sensor restarted, its clock jumped, and its packets became those of another model; how
-//! long the clock of this host has been off.
+//! long the clock of this host has been off, and its GPS receiver has been as it is.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
 use super::Observation;
-use crate::judge::{CLOCK_OFF_S, Change, Remark};
+use crate::judge::{CLOCK_OFF_S, Change, Fix, Remark};
 use sweepd_core::sensor::Model;
+use sweepd_core::wire::position::Pps;
 
 /// How long a change is remembered.
 const RECENTLY: Duration = Duration::from_secs(600);
 /// Most changes of a kind that are remembered.
 const REMEMBERED: usize = 100;
 
-/// The clock of this host is off when it is for so long: a packet may wait.
-const OFF_FOR: Duration = Duration::from_secs(5);
+/// What a packet says is so when all have said it for so long: one may wait, or have a sentence that is
+/// garbled.
+const LASTS: Duration = Duration::from_secs(5);
 
 /// The changes of a sensor.
 #[derive(Clone, Debug, Default)]
@@ -75,8 +77,28 @@ impl HostClock {
         let off_s = ahead_s.filter(|ahead_s| ahead_s.abs() > limit_s);
         let since = off_s.map(|_| self.off_since.unwrap_or(now));
         self.off_since = since;
-        self.is_told = since.is_some_and(|since| now - since >= OFF_FOR);
+        self.is_told = since.is_some_and(|since| now - since >= LASTS);
         off_s.filter(|_| self.is_told).map(Remark::HostClock)
+    }
+}
+
+/// What a sensor says of pulse and GPS receiver.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Receiver {
+    is: Option<(Pps, Fix)>,
+    other_since: Option<Duration>,
+}
+
+impl Receiver {
+    /// Takes what it says now, and gives what has lasted.
+    pub fn take(&mut self, now: Duration, said: Option<(Pps, Fix)>) -> Option<(Pps, Fix)> {
+        let is_other = self.is.is_some() && said != self.is;
+        let since = is_other.then(|| self.other_since.unwrap_or(now));
+        self.other_since = since.filter(|&since| now - since < LASTS);
+        if self.other_since.is_none() {
+            self.is = said;
+        }
+        self.is
     }
 }
 

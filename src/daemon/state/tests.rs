@@ -2,6 +2,7 @@ use super::*;
 use crate::sensor_settings::{Returns, Rpm};
 use sweepd_core::floor::Floor;
 use sweepd_core::sweep::layout::flags;
+use sweepd_core::wire::nmea::NmeaError;
 
 const RUNNING: Running = Running {
     model: Model::Vlp16,
@@ -549,6 +550,34 @@ fn a_sensor_that_changes_again_and_again_is_told_with_how_often() {
         told.len() == 1 && told[0].contains("its clock jumped 3 times"),
         "{told:?}"
     );
+}
+
+#[test]
+fn a_sentence_that_is_not_read_is_told_when_that_lasts() {
+    let mut roof = Watched::new(None);
+    let locked = Some((Pps::Locked, Some(Ok(true))));
+    roof.seen.facts.pulse = locked;
+    roof.observe(5, 75, 1);
+    let unread = Some((Pps::Locked, Some(Err(NmeaError::NotRmc))));
+    // Each second one is garbled.
+    for second in 0..20 {
+        roof.seen.facts.pulse = if second % 2 == 0 { unread } else { locked };
+        assert_eq!(roof.observe(10, 75, 1), [""; 0]);
+    }
+    roof.seen.facts.pulse = unread;
+    let told = roof.observe(60, 75, 1);
+    assert!(
+        told.len() == 1 && told[0].contains("not an RMC sentence: set the receiver to send $GPRMC"),
+        "{told:?}"
+    );
+    roof.seen.facts.pulse = locked;
+    assert!(roof.watcher.complaint().is_some());
+    let told = roof.observe(60, 75, 1);
+    assert!(
+        told.len() == 1 && told[0].contains("this is over"),
+        "{told:?}"
+    );
+    assert_eq!(roof.watcher.complaint(), None);
 }
 
 #[test]

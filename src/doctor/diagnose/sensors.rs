@@ -322,10 +322,6 @@ impl SensorCheck<'_> {
             self.remark(Remark::HostClock(ahead));
         }
         let Some(position) = position else { return };
-        if let Some(error) = position.unread {
-            let what = format!("the sentence of the GPS receiver is not read: {error}");
-            return self.warning(Topic::Clock, what, gps::cure_sentence(error));
-        }
         if let Some(remark) = Remark::of_gps(self.sensor.model, position.pps, position.fix) {
             self.remark(remark);
         }

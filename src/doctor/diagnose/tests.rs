@@ -107,8 +107,7 @@ fn healthy() -> Observations {
             address: ADDRESS.into(),
             packets: 40,
             pps: Pps::Locked,
-            fix: Some(true),
-            unread: None,
+            fix: Some(Ok(true)),
         }],
         host: Host {
             interfaces: vec![interface],
@@ -921,32 +920,32 @@ fn clocks_are_looked_at() {
         &["no GPS receiver is connected"],
     );
     with(
-        gps(Pps::Absent, Some(true)),
+        gps(Pps::Absent, Some(Ok(true))),
         Severity::Warning,
         Topic::Clock,
         &["pulse per second is absent", "PPS"],
     );
     with(
-        gps(Pps::Absent, Some(false)),
+        gps(Pps::Absent, Some(Ok(false))),
         Severity::Warning,
         Topic::Clock,
         &["has no fix", "view of the sky"],
     );
     with(
-        gps(Pps::Locked, Some(false)),
+        gps(Pps::Locked, Some(Ok(false))),
         Severity::Note,
         Topic::Clock,
         &["has no fix"],
     );
     with(
-        gps(Pps::Synchronizing, Some(true)),
+        gps(Pps::Synchronizing, Some(Ok(true))),
         Severity::Note,
         Topic::Clock,
         &["wait a minute"],
     );
     // An HDL-32E says absent whatever is connected.
     let mut seen = healthy();
-    gps(Pps::Absent, Some(true))(&mut seen);
+    gps(Pps::Absent, Some(Ok(true)))(&mut seen);
     (seen.sensors[0].model, seen.plan.sensors[0].model) = (Some(Model::Hdl32e), None);
     assert_eq!(diagnose(&seen), []);
     with(
@@ -968,16 +967,7 @@ fn clocks_are_looked_at() {
         &["2006-07-25", "2026-03-10", "may not have been set"],
     );
     with(
-        |seen| {
-            let unread = Some(NmeaError::NotRmc);
-            let fix = Some(false);
-            let before = seen.positions[0].clone();
-            seen.positions[0] = PositionSender {
-                fix,
-                unread,
-                ..before
-            };
-        },
+        gps(Pps::Locked, Some(Err(NmeaError::NotRmc))),
         Severity::Warning,
         Topic::Clock,
         &["not an RMC sentence", "$GPRMC"],

@@ -34,9 +34,42 @@ pub enum NmeaError {
         /// Exclusive or of the characters between `$` and `*`.
         computed: u8,
     },
-    /// A field is missing or invalid.
-    #[error("no readable {0}")]
-    Field(&'static str),
+    /// No time, or none that is possible.
+    #[error("no readable time")]
+    Time,
+    /// No date, or none that is possible.
+    #[error("no readable date")]
+    Date,
+}
+
+impl NmeaError {
+    /// It as a number, not 0 and below 2^19: threads share it with what else a packet says.
+    pub fn code(self) -> u32 {
+        match self {
+            Self::NotRmc => 1,
+            Self::NoChecksum => 2,
+            Self::Checksum { found, computed } => {
+                3 | u32::from(found) << 3 | u32::from(computed) << 11
+            }
+            Self::Time => 4,
+            Self::Date => 5,
+        }
+    }
+
+    /// The error of a number; `None` for 0, and for one that is none's.
+    pub fn from_code(code: u32) -> Option<Self> {
+        match code & 7 {
+            1 => Some(Self::NotRmc),
+            2 => Some(Self::NoChecksum),
+            3 => Some(Self::Checksum {
+                found: (code >> 3) as u8,
+                computed: (code >> 11) as u8,
+            }),
+            4 => Some(Self::Time),
+            5 => Some(Self::Date),
+            _ => None,
+        }
+    }
 }
 
 impl Rmc {
@@ -73,8 +106,8 @@ impl Rmc {
             _course,
             date,
         ] = std::array::from_fn(|_| fields.next().unwrap_or_default());
-        let day_ns = parse_time(time).ok_or(NmeaError::Field("time"))?;
-        let days = parse_date(date).ok_or(NmeaError::Field("date"))?;
+        let day_ns = parse_time(time).ok_or(NmeaError::Time)?;
+        let days = parse_date(date).ok_or(NmeaError::Date)?;
         let position_deg =
             parse_angle(latitude, north, "NS").zip(parse_angle(longitude, east, "EW"));
         Ok(Self {
@@ -298,17 +331,33 @@ mod tests {
                 computed: 0x6B
             })
         );
-        for (time, date, field) in [
-            ("", "230394", "time"),
-            ("250000", "230394", "time"),
-            ("123519", "310294", "date"),
+        for (time, date, error) in [
+            ("", "230394", NmeaError::Time),
+            ("250000", "230394", NmeaError::Time),
+            ("123519", "310294", NmeaError::Date),
         ] {
             let body = format!("GPRMC,{time},A,,,,,,,{date},,");
             assert_eq!(
                 Rmc::parse(&format!("${body}*{:02X}", xor(&body))),
-                Err(NmeaError::Field(field))
+                Err(error)
             );
         }
+    }
+
+    #[test]
+    fn an_error_is_that_of_its_number() {
+        let (found, computed) = (0xFF, 0x6B);
+        for error in [
+            NmeaError::NotRmc,
+            NmeaError::NoChecksum,
+            NmeaError::Checksum { found, computed },
+            NmeaError::Time,
+            NmeaError::Date,
+        ] {
+            assert!((1..1 << 19).contains(&error.code()), "{error:?}");
+            assert_eq!(NmeaError::from_code(error.code()), Some(error));
+        }
+        assert_eq!(NmeaError::from_code(0), None);
     }
 
     proptest! {

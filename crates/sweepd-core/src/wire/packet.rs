@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 
 use super::PacketError;
 use super::data::{DATA_PACKET_LEN, DataPacket};
-use super::nmea::Rmc;
+use super::nmea::{NmeaError, Rmc};
 use super::position::{POSITION_PACKET_LEN, Position};
 
 /// A UDP payload with arrival time, source and destination, before parsing.
@@ -31,8 +31,7 @@ impl<'a> Datagram<'a> {
             DATA_PACKET_LEN => Content::Data(DataPacket::parse(self.payload)?),
             POSITION_PACKET_LEN => {
                 let position = Position::parse(self.payload)?;
-                let rmc = position.nmea.and_then(|text| Rmc::parse(text).ok());
-                Content::Position(position, rmc)
+                Content::Position(position, position.nmea.map(Rmc::parse))
             }
             found => return Err(PacketError::Length { found }),
         };
@@ -53,9 +52,10 @@ pub struct Packet<'a> {
 }
 
 impl Packet<'_> {
-    /// A position packet to keep, without the text of its sentence. `None` for a data packet.
-    pub fn without_sentence(&self) -> Option<Packet<'static>> {
-        let Content::Position(position, rmc) = self.content else {
+    /// A position packet to keep, without the text of its sentence, but with what that says. `None`
+    /// for a data packet.
+    pub fn without_text(&self) -> Option<Packet<'static>> {
+        let Content::Position(position, sentence) = self.content else {
             return None;
         };
         let position = Position {
@@ -68,7 +68,7 @@ impl Packet<'_> {
         };
         Some(Packet {
             arrival_ns: self.arrival_ns,
-            content: Content::Position(position, rmc),
+            content: Content::Position(position, sentence),
         })
     }
 }
@@ -78,6 +78,6 @@ impl Packet<'_> {
 pub enum Content<'a> {
     /// Ranges.
     Data(&'a DataPacket),
-    /// GPS state, with the RMC sentence if the packet holds a valid one.
-    Position(Position<'a>, Option<Rmc>),
+    /// GPS state, with the RMC sentence or why there is none in the text; `None` without a text.
+    Position(Position<'a>, Option<Result<Rmc, NmeaError>>),
 }

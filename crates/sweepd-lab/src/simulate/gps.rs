@@ -29,6 +29,8 @@ pub enum ReceiverFault {
     Ahead(i64),
     /// The check sum of each second sentence is wrong.
     Garbled,
+    /// It sends GGA, a sentence without a date.
+    Gga,
 }
 
 impl ReceiverFault {
@@ -40,7 +42,7 @@ impl ReceiverFault {
             Self::Frozen => begun_ns,
             Self::Unset => utc_ns - begun_ns + UNSET_NS,
             Self::Ahead(by_ns) => utc_ns + by_ns,
-            Self::Garbled => utc_ns,
+            Self::Garbled | Self::Gga => utc_ns,
         }
     }
 }
@@ -80,8 +82,18 @@ fn sentence(config: &EmitterConfig, elapsed_ns: i64, position_deg: Option<(f64, 
         Some((ReceiverFault::Garbled, _)) if utc_ns / 1_000_000_000 % 2 == 0 => {
             text.replace("GPRMC", "GNRMC")
         }
+        Some((ReceiverFault::Gga, _)) => gga(&text),
         _ => text,
     }
+}
+
+/// The GGA of an RMC: of eight satellites, 100 m above the sea.
+fn gga(rmc: &str) -> String {
+    let fields: Vec<&str> = rmc.split(',').collect();
+    let (time, place) = (fields[1], fields[3..7].join(","));
+    let body = format!("GPGGA,{time},{place},1,08,1.0,100.0,M,46.9,M,,");
+    let checksum = body.bytes().fold(0, |sum, byte| sum ^ byte);
+    format!("${body}*{checksum:02X}")
 }
 
 /// The 512 bytes of the position packet that a sensor sends this long after its first shot.

@@ -94,8 +94,8 @@ pub struct Args {
     pub(super) gps: GpsReceiver,
     /// What is wrong with the receiver's time, though it says that it is valid: week (1024 weeks too
     /// early), frozen (one sentence again and again), unset (it counts from 2000-01-01), garbled (each
-    /// second check sum), or the seconds that it is ahead; with @FROM..TO only then, such as
-    /// 3600@5..10
+    /// second check sum), gga (GGA alone, which has no date), or the seconds that it is ahead; with
+    /// @FROM..TO only then, such as 3600@5..10
     #[arg(long, value_name = "WHAT", value_parser = receiver_fault, allow_negative_numbers = true)]
     pub(super) gps_fault: Option<(ReceiverFault, Reception)>,
     /// By how much the speed of the motor drifts up and down, percent
@@ -226,12 +226,13 @@ fn receiver_fault(text: &str) -> Result<(ReceiverFault, Reception), String> {
         "frozen" => Some(ReceiverFault::Frozen),
         "unset" => Some(ReceiverFault::Unset),
         "garbled" => Some(ReceiverFault::Garbled),
+        "gga" => Some(ReceiverFault::Gga),
         _ => within(-86_400_000.0..=86_400_000.0, "seconds")(what)
             .ok()
             .map(|seconds| ReceiverFault::Ahead((seconds * 1e9) as i64)),
     };
     fault.zip(reception(when)).ok_or_else(|| {
-        "expected week, frozen, unset, garbled or the seconds ahead, and then perhaps @FROM..TO in seconds, such as 3600@5..10"
+        "expected week, frozen, unset, garbled, gga or the seconds ahead, and then perhaps @FROM..TO in seconds, such as 3600@5..10"
             .to_owned()
     })
 }
