@@ -2,6 +2,8 @@
 //! log and `/health`, the doctor alone and beside a daemon, `/diagnostics` and `inspect` have them
 //! from here.
 
+pub mod losses;
+
 use std::fmt;
 use std::mem::discriminant;
 use std::time::Duration;
@@ -9,7 +11,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 
 use crate::gps::cure_sentence;
-use crate::text::{count_of, grouped};
+use crate::text::count_of;
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::eye::eye_faults;
 use sweepd_core::wire::nmea::NmeaError;
@@ -273,18 +275,10 @@ impl Remark {
                 format!("{count} packets came twice"),
                 "look for a loop in the network, a port mirror of the switch, or two ways to this host".to_owned(),
             ),
-            Self::Dropped { dropped, of, port, .. } => (
-                Topic::Loss,
-                format!(
-                    "this host's kernel dropped {} of {} datagrams {}, because they were not fetched in time",
-                    grouped(dropped),
-                    grouped(of),
-                    port.map_or("to its port".to_owned(), |port| format!("to port {port}"))
-                ),
-                "give the port a larger receive buffer (net.core.rmem_max), or its thread a core of its own (`cpu`), and look who \
-                 else sends there"
-                    .to_owned(),
-            ),
+            Self::Dropped { dropped, of, port, .. } => {
+                let [what, cure] = losses::dropped(dropped, of, port);
+                (Topic::Loss, what, cure)
+            }
             Self::OtherBeams { given, said } => other_beams(given, said),
             Self::OtherCalibration { .. } | Self::ExchangedUnit | Self::MistakenUnit { .. } => {
                 self.of_calibration()
@@ -364,8 +358,12 @@ pub fn of_eye(bits: u32) -> Vec<Finding> {
             true => Severity::Error,
             false => Severity::Warning,
         };
-        let what = format!("{}: {}", fault.name, fault.what);
-        all.push(Finding::new(severity, Topic::Sensor, what, fault.cure));
+        all.push(Finding::new(
+            severity,
+            Topic::Sensor,
+            fault.to_string(),
+            fault.cure,
+        ));
     }
     all
 }

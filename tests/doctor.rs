@@ -257,7 +257,7 @@ fn losses_and_a_limited_view_are_found() {
         &findings,
         Severity::Warning,
         Topic::Loss,
-        "packets were lost",
+        "of its packets are lost",
     );
     assert_eq!(seen.sensors[0].counts.lost, 2);
 }

@@ -20,7 +20,6 @@ use super::config::{Config, DaemonConfig};
 use super::counters::SensorCounters;
 use super::health::{self, View};
 use super::http::{self, Http};
-use super::losses::{SensorAddress, Tally};
 use super::notify::{Notifier, Pulse, heartbeat_period};
 use super::record::protocol::SegmentSettings;
 use super::record::server::{ControlServer, Told};
@@ -31,6 +30,7 @@ use super::sharing::Sharing;
 use super::silence::Silence;
 use super::state::{Condition, Facts, Message, Observation, Running, Watcher};
 use crate::cure::{Dialect, explain};
+use crate::judge::losses::{SensorAddress, Tally};
 use crate::judge::{Finding, Remark};
 use sweepd_core::pipeline::{DarkBeam, Notice};
 

@@ -7,9 +7,9 @@ use std::sync::atomic::{
 };
 use std::sync::{Mutex, PoisonError};
 
-use super::losses::Tally;
 use crate::admission::Refusal;
 use crate::judge::Fix;
+use crate::judge::losses::Tally;
 use crate::sensor_settings::FieldOfView;
 use crate::strangers::{Stranger, Strangers};
 use sweepd_core::pipeline::{Counts, DarkBeam};
@@ -286,22 +286,20 @@ impl SensorCounters {
     pub fn tally(&self) -> Tally {
         let [malformed, duplicates, late, unconfirmed, other_product, _] =
             self.undecoded.each_ref().map(Counter::get);
-        // A clock that is set back makes some packets late once; that is not a fault of a cable or
-        // a second sensor.
-        let late = late.saturating_sub(self.set_back.get());
-        let data = self.data.get();
-        let lost = self.lost.get();
-        let refused = self.refused.get();
-        Tally {
-            data,
-            lost,
+        let counts = Counts {
+            data: self.data.get(),
+            lost: self.lost.get(),
             late,
+            set_back: self.set_back.get(),
             unconfirmed,
-            other_product,
+            foreign: other_product,
             malformed,
-            refused,
             duplicates,
-            ..Tally::default()
+            ..Counts::default()
+        };
+        Tally {
+            refused: self.refused.get(),
+            ..counts.into()
         }
     }
 

@@ -8,10 +8,10 @@ use std::time::Instant;
 use serde_json::{Value, json};
 
 use super::counter_table;
-use super::losses::Recent;
 use super::record::RecordingsStatus;
 use super::runtime::{PortStatus, SensorStatus};
 use super::state::{Condition, State};
+use crate::judge::losses::Recent;
 use crate::judge::{Finding, Severity, Topic};
 use crate::strangers::Stranger;
 use sweepd_client::host::realtime_ns;

@@ -8,7 +8,8 @@ use std::time::Duration;
 
 use changes::{Changes, HostClock, Receiver};
 
-use super::losses::{Level, Limits, Losses, Recent, SensorAddress, Tally, Turn};
+use super::losses::{Level, Limits, Losses, Turn};
+use crate::judge::losses::{Recent, SensorAddress, Tally};
 use crate::judge::{self, Finding, Fix, Remark, Severity, Topic};
 use crate::sensor_settings::{FieldOfView, Settings};
 use crate::strangers::Cause;

@@ -195,7 +195,7 @@ fn losses_by_this_hosts_kernel_have_this_host_as_their_cause() {
     daemon.signal("-CONT");
     let told = until_told(&daemon, "this host's kernel dropped ");
     let cure = format!(
-        " datagrams on port {port}, because the daemon did not fetch them in time: give the port a larger receive buffer"
+        " datagrams on port {port}, because they were not fetched in time: give the port a larger receive buffer"
     );
     assert!(told.contains(&cure), "{told}");
     until("it is over", || {

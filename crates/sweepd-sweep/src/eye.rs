@@ -1,5 +1,7 @@
 //! What a sensor no longer sees, though it sends: bits of [`Header::flags`](crate::Header), in words.
 
+use std::fmt;
+
 use crate::layout::flags;
 
 /// A way in which a sensor no longer sees what it should.
@@ -15,6 +17,13 @@ pub struct EyeFault {
     pub cure: &'static str,
     /// Whether what is in the way of a robot may no longer be seen at all.
     pub is_fault: bool,
+}
+
+/// What is seen, with its name.
+impl fmt::Display for EyeFault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.name, self.what)
+    }
 }
 
 /// All of them, the worst first.
@@ -75,7 +84,7 @@ pub fn eye_sentence(bits: u32) -> Option<String> {
         if !sentence.is_empty() {
             sentence += "; ";
         }
-        sentence += &format!("{}: {}: {}", fault.name, fault.what, fault.cure);
+        sentence += &format!("{fault}: {}", fault.cure);
     }
     (!sentence.is_empty()).then_some(sentence)
 }

@@ -4,6 +4,7 @@ use super::Findings;
 use crate::doctor::Topic;
 use crate::doctor::observe::{Observations, PortResult, RootTrouble};
 use crate::doctor::plan::ExpectedSensor;
+use crate::judge::Remark;
 use crate::publish::pool_sweeps;
 use sweepd_core::sensor::{Model, ModelExt};
 use sweepd_core::sweep::layout::Shape;
@@ -38,7 +39,10 @@ pub(super) fn find(seen: &Observations, findings: &mut Findings) {
 fn buffers(seen: &Observations, findings: &mut Findings) {
     for port in &seen.ports {
         let PortResult::Open {
-            dropped, buffer, ..
+            received,
+            dropped,
+            buffer,
+            ..
         } = port.result
         else {
             continue;
@@ -61,14 +65,13 @@ fn buffers(seen: &Observations, findings: &mut Findings) {
             findings.warning(Topic::Buffer, what, cure);
         }
         if dropped > 0 {
-            let what = format!(
-                "the kernel dropped {dropped} datagrams on port {number} while this listened"
-            );
-            findings.warning(
-                Topic::Loss,
-                what,
-                "give it a larger receive buffer, and this host less to do",
-            );
+            let remark = Remark::Dropped {
+                dropped,
+                of: received + dropped,
+                port: Some(number),
+                is_fault: false,
+            };
+            findings.0.extend(remark.finding());
         }
     }
 }

@@ -1,11 +1,13 @@
 //! Findings from the sensors' packets.
 
 use std::fmt::Display;
+use std::time::Duration;
 
 use super::Findings;
 use crate::doctor::observe::{Observations, ObservedSensor, PortResult, PositionSender};
 use crate::doctor::plan::ExpectedSensor;
 use crate::doctor::{Severity, Topic};
+use crate::judge::losses::{Recent, SensorAddress, Tally};
 use crate::judge::{self, CLOCK_OFF_S, Remark};
 use crate::{beams, floor, gps};
 use sweepd_core::assemble::GpsDoubt;
@@ -23,9 +25,6 @@ const SPEED_SHARE: f32 = 0.03;
 const STEADY_SHARE: f32 = 0.05;
 /// More than this share of the packets lost costs whole objects.
 const MUCH_LOSS: f64 = 0.01;
-
-const LOSS_CURE: &str = "they were lost before this host: look at cable and plugs, a switch that is shared with \
-     other traffic or at 100 Mbit/s, and Wi-Fi on the way; `ip -s link` counts errors of the interface";
 
 pub(super) fn find(seen: &Observations, findings: &mut Findings) {
     if seen.plan.sensors.is_empty() {
@@ -211,29 +210,20 @@ impl SensorCheck<'_> {
     }
 
     fn loss(&mut self, seen: &Observations) {
-        let counts = self.sensor.counts;
-        if counts.lost > 0 {
-            let all = counts.lost + counts.data;
-            let severity = if counts.lost as f64 / all as f64 > MUCH_LOSS {
-                Severity::Error
-            } else {
-                Severity::Warning
+        let (recent, place) = losses(self.sensor, seen);
+        if recent.share() > 0.0 {
+            let severity = match recent.share() > MUCH_LOSS {
+                true => Severity::Error,
+                false => Severity::Warning,
             };
-            let cure = match dropped(seen, self.sensor.port) {
-                0 => LOSS_CURE.to_owned(),
-                dropped => format!(
-                    "the kernel dropped {dropped} on this host: give it a larger receive buffer or less to do"
-                ),
-            };
-            let what = format!("{} of {all} packets were lost", counts.lost);
-            self.add(severity, Topic::Loss, what, &cure);
+            self.add(
+                severity,
+                Topic::Loss,
+                recent.what(&place),
+                &recent.cure(&place),
+            );
         }
-        self.remark(Remark::Duplicates(counts.duplicates));
-        if counts.malformed > 0 {
-            let what = format!("{} packets are damaged", counts.malformed);
-            let cure = "no checksum caught it: look at what rewrites packets on the way, or the sensor itself";
-            self.warning(Topic::Loss, what, cure);
-        }
+        self.remark(Remark::Duplicates(recent.counted.duplicates));
     }
 
     fn settings(&mut self, has_web: bool) {
@@ -306,12 +296,6 @@ impl SensorCheck<'_> {
     }
 
     fn clock(&mut self, position: Option<&PositionSender>) {
-        let unconfirmed = self.sensor.counts.unconfirmed;
-        if unconfirmed > 0 {
-            let what = format!("{unconfirmed} packets had a time stamp that no neighbour confirms");
-            let cure = "its clock steps, or two sensors send as one: look for a second one of this address";
-            self.warning(Topic::Clock, what, cure);
-        }
         if let Some(doubt) = &self.sensor.gps_doubt {
             self.findings.0.push(gps::finding(doubt).of(&self.name));
         }
@@ -328,17 +312,27 @@ impl SensorCheck<'_> {
     }
 }
 
-/// Datagrams that the kernel dropped on a port during the examination.
-fn dropped(seen: &Observations, port: u16) -> u64 {
-    let mut sum = 0;
-    for one in &seen.ports {
-        if let PortResult::Open { dropped, .. } = one.result
-            && one.plan.port == port
+/// What was counted of a sensor and its port during the examination, and where that is.
+fn losses(sensor: &ObservedSensor, seen: &Observations) -> (Recent, SensorAddress) {
+    let mut counted = Tally::from(sensor.counts);
+    for one in seen.ports.iter().filter(|one| one.plan.port == sensor.port) {
+        if let PortResult::Open {
+            received, dropped, ..
+        } = one.result
         {
-            sum += dropped;
+            counted.received += received;
+            counted.dropped += dropped;
+            counted.strangers += one.others().iter().map(|one| one.datagrams).sum::<u64>();
         }
     }
-    sum
+    let span = Duration::from_secs_f64(seen.seconds);
+    let beside = seen.sensors.iter().filter(|one| one.port == sensor.port);
+    let place = SensorAddress {
+        address: sensor.source.ip().to_string(),
+        port: Some(sensor.port),
+        sensors: beside.count(),
+    };
+    (Recent { span, counted }, place)
 }
 
 /// Whether the packets of two models cannot be distinguished.

@@ -838,7 +838,7 @@ fn losses_have_the_right_cause() {
         lost(5),
         Severity::Warning,
         Topic::Loss,
-        &["5 of 3775 packets were lost", "before this host"],
+        &["(5 of 3775 in 5 s)", "lost before this host"],
     );
     with(lost(500), Severity::Error, Topic::Loss, &["500 of 4270"]);
     let mut seen = healthy();
@@ -851,13 +851,13 @@ fn losses_have_the_right_cause() {
         &findings[0],
         Severity::Warning,
         Topic::Loss,
-        &["9 of 3779", "the kernel dropped 9"],
+        &["(9 of 3779 in 5 s)", "kernel dropped 9"],
     );
     holds(
         &findings[1],
         Severity::Warning,
         Topic::Loss,
-        &["the kernel dropped 9 datagrams on port 2368"],
+        &["kernel dropped 9 of 3,779 datagrams to port 2368"],
     );
     with(
         |seen| seen.sensors[0].counts.duplicates = 3770,
@@ -869,7 +869,7 @@ fn losses_have_the_right_cause() {
         |seen| seen.sensors[0].counts.malformed = 2,
         Severity::Warning,
         Topic::Loss,
-        &["2 packets are damaged"],
+        &["2 with azimuths of no turning head"],
     );
 }
 
@@ -975,8 +975,8 @@ fn clocks_are_looked_at() {
     with(
         |seen| seen.sensors[0].counts.unconfirmed = 4,
         Severity::Warning,
-        Topic::Clock,
-        &["4 packets", "clock steps"],
+        Topic::Loss,
+        &["4 with a stamp that no neighbour confirms"],
     );
 }
 
