@@ -226,23 +226,11 @@ impl Remark {
     }
 
     /// Whether it is about the same as another one, whatever its numbers.
-    fn is_like(&self, other: &Self) -> bool {
+    pub fn is_like(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Changes { change, .. }, Self::Changes { change: other, .. }) => change == other,
             _ => discriminant(self) == discriminant(other),
         }
-    }
-
-    /// Whether it is told that something is wrong, and it was not told before.
-    pub fn is_new_beside(&self, before: &[Self]) -> bool {
-        self.is_trouble()
-            && !before
-                .iter()
-                .any(|one| one.is_like(self) && one.is_trouble())
-    }
-
-    fn is_trouble(&self) -> bool {
-        self.finding().is_some_and(|finding| finding.is_trouble())
     }
 
     /// What is told of it; `None` where that is as it should be.

@@ -18,7 +18,9 @@ const LEAST: Duration = Duration::from_secs(2);
 const SETTLING: Duration = Duration::from_secs(1);
 /// Least interval between noted counts; the control thread checks them twice a second.
 const NOTE_EVERY: Duration = Duration::from_millis(400);
-/// A level ends when the share falls below this part of its limit.
+/// Packets that come twice are told from this share of them on.
+const MANY_DUPLICATES: f64 = 0.01;
+/// What is told is over when the share falls below this part of its limit.
 const OVER_AT: f64 = 0.5;
 
 /// Shares of a sensor's packets above which losses are reported, 0 to 1. `warning` is at most
@@ -29,6 +31,19 @@ pub struct Limits {
     pub warning: f64,
     /// Above this the sensor counts as failed.
     pub fault: f64,
+}
+
+impl Limits {
+    /// The level of a share, where it has been at another one so far.
+    fn level(&self, share: f64, so_far: Option<Level>) -> Option<Level> {
+        for (level, limit) in [(Level::Fault, self.fault), (Level::Warning, self.warning)] {
+            let is_there = so_far >= Some(level);
+            if share >= if is_there { limit * OVER_AT } else { limit } {
+                return Some(level);
+            }
+        }
+        None
+    }
 }
 
 impl Default for Limits {
@@ -68,6 +83,10 @@ pub struct Losses {
     /// When the stream that is watched began.
     begun: Option<Duration>,
     level: Option<Level>,
+    /// How grave it is what the kernel drops on the port, and the counts by which it is.
+    dropping: Option<(Level, Recent)>,
+    /// Packets that came twice, if they are many.
+    duplicates: Option<u64>,
     /// When the losses rose above the first limit.
     losing_since: Duration,
 }
@@ -80,6 +99,8 @@ impl Losses {
             noted: VecDeque::new(),
             begun: None,
             level: None,
+            dropping: None,
+            duplicates: None,
             losing_since: Duration::ZERO,
         }
     }
@@ -104,19 +125,22 @@ impl Losses {
         })
     }
 
-    /// How grave it is what the kernel drops on the port, unless the losses of the sensor are as
-    /// grave, and told with that cause. The stamps of a sensor do not always show what was dropped.
+    /// How grave it is what the kernel drops on the port, and the counts by which it is. The stamps
+    /// of a sensor do not always show what was dropped.
     pub fn dropping(&self) -> Option<(Level, Recent)> {
-        let recent = self.recent()?;
-        let share = recent.dropped_share();
-        let level = match share {
-            _ if share >= self.limits.fault => Level::Fault,
-            _ if share >= self.limits.warning => Level::Warning,
-            _ => return None,
-        };
-        let is_told =
-            self.level >= Some(level) && matches!(recent.cause(), Cause::Host | Cause::Flood);
-        (!is_told).then_some((level, recent))
+        self.dropping
+    }
+
+    /// Whether the losses of the sensor are as grave as that, and told with that cause.
+    pub fn tell_drops(&self) -> bool {
+        self.dropping.is_some_and(|(level, recent)| {
+            self.level >= Some(level) && matches!(recent.cause(), Cause::Host | Cause::Flood)
+        })
+    }
+
+    /// Packets that came twice over the last seconds; `None` if they are few.
+    pub fn duplicates(&self) -> Option<u64> {
+        self.duplicates
     }
 
     /// Starts again, because packets were decoded with another configuration before.
@@ -128,7 +152,7 @@ impl Losses {
     /// Ends the losses together with the stream.
     pub fn forget(&mut self) {
         self.begin_anew();
-        self.level = None;
+        (self.level, self.dropping, self.duplicates) = (None, None, None);
     }
 
     /// Takes the present counts of a running stream, and gives the change to report. `now` is the
@@ -152,9 +176,10 @@ impl Losses {
         {
             self.noted.pop_front();
         }
-        let share = self.recent()?.share();
+        let recent = self.recent()?;
+        self.watch_port(recent);
         let was = self.level;
-        let level = self.level_of(share);
+        let level = self.limits.level(recent.share(), was);
         self.level = level;
         if was.is_none() {
             self.losing_since = now;
@@ -166,27 +191,17 @@ impl Losses {
         }
     }
 
-    fn level_of(&self, share: f64) -> Option<Level> {
-        if share >= self.limit_of(Level::Fault) {
-            Some(Level::Fault)
-        } else if share >= self.limit_of(Level::Warning) {
-            Some(Level::Warning)
-        } else {
-            None
-        }
-    }
-
-    /// The share at which a level begins, or is over where it has begun.
-    fn limit_of(&self, level: Level) -> f64 {
-        let limit = match level {
-            Level::Warning => self.limits.warning,
-            Level::Fault => self.limits.fault,
+    /// Takes what came twice, and what was dropped.
+    fn watch_port(&mut self, recent: Recent) {
+        let so_far = self.dropping.map(|(level, _)| level);
+        let level = self.limits.level(recent.dropped_share(), so_far);
+        self.dropping = level.map(|level| (level, recent));
+        let limit = match self.duplicates {
+            Some(_) => MANY_DUPLICATES * OVER_AT,
+            None => MANY_DUPLICATES,
         };
-        if self.level >= Some(level) {
-            limit * OVER_AT
-        } else {
-            limit
-        }
+        let is_many = recent.duplicates_share() >= limit;
+        self.duplicates = is_many.then_some(recent.counted.duplicates);
     }
 }
 

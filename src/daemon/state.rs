@@ -33,9 +33,6 @@ const TELL_EVERY: Duration = Duration::from_secs(60);
 /// withdrawn within half of that.
 const RPM_TOLERANCE: f32 = 0.05;
 
-/// Packets that come twice are told from this share of the recent ones on.
-const MANY_DUPLICATES: f64 = 0.01;
-
 /// How a sensor is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
@@ -225,6 +222,8 @@ pub struct Watcher {
     time: (TimeSource, Option<GpsDoubt>),
     /// What its packets tell beside its sweeps.
     remarks: Vec<Remark>,
+    /// Those that the log has, as grave as they were there.
+    told_remarks: Vec<(Remark, Finding)>,
     /// What is wrong with its calibration.
     calibration: Option<Remark>,
     changes: Changes,
@@ -264,6 +263,7 @@ impl Watcher {
             floor: Default::default(),
             time: (TimeSource::Host, None),
             remarks: Vec::new(),
+            told_remarks: Vec::new(),
             calibration: None,
             changes: Changes::default(),
             host_clock: HostClock::default(),
@@ -354,9 +354,18 @@ impl Watcher {
             (State::SpinningUp | State::WrongModel, _) => vec![no_sweep()],
         };
         let is_silent = matches!(self.state, State::Waiting | State::Stalled);
-        let remarks = (self.remarks.iter()).filter(|one| !is_silent || one.is_change());
-        all.extend(remarks.filter_map(Remark::finding));
+        for remark in &self.remarks {
+            if !self.is_told_by_losses(remark) && (!is_silent || remark.is_change()) {
+                all.extend(remark.finding());
+            }
+        }
         all
+    }
+
+    /// Whether the losses tell it too, with the kernel as their cause.
+    fn is_told_by_losses(&self, remark: &Remark) -> bool {
+        let are_told = self.state() != State::SpinningUp && self.losses.tell_drops();
+        are_told && matches!(remark, Remark::Dropped { .. })
     }
 
     /// What is not as it should be while packets come.
@@ -407,8 +416,7 @@ impl Watcher {
         all
     }
 
-    /// Whether the kernel drops more datagrams than the second limit allows, though the sensor's own
-    /// packets do not show it.
+    /// Whether the kernel drops more datagrams than the second limit allows.
     fn drops_many(&self) -> bool {
         (self.losses.dropping()).is_some_and(|(level, _)| level == Level::Fault)
     }
@@ -418,20 +426,32 @@ impl Watcher {
         self.calibration = Some(remark);
     }
 
-    /// Takes what the packets tell beside sweeps, and gives a message for each that is new or over.
+    /// Takes what the packets tell beside sweeps, and gives a message for each that is new, graver
+    /// than before, or over.
     fn remark(&mut self, now: &Observation) -> Vec<Message> {
-        let remarks = self.remarks_of(now);
-        let before = std::mem::replace(&mut self.remarks, remarks);
+        self.remarks = self.remarks_of(now);
+        let mut told = std::mem::take(&mut self.told_remarks);
+        let mut still = Vec::new();
         let mut messages = Vec::new();
-        for remark in self.remarks.iter().filter(|one| one.is_new_beside(&before)) {
-            let finding = remark.finding();
-            messages.extend(finding.map(|finding| self.message(true, &finding.to_string())));
+        for remark in &self.remarks {
+            let Some(finding) = remark.finding().filter(Finding::is_trouble) else {
+                continue;
+            };
+            let at = told.iter().position(|(one, _)| one.is_like(remark));
+            let before = at.map(|at| told.swap_remove(at));
+            let is_grave = (before.as_ref()).is_none_or(|(_, one)| finding.severity < one.severity);
+            if is_grave && !self.is_told_by_losses(remark) {
+                messages.push(self.message(true, &finding.to_string()));
+                still.push((*remark, finding));
+            } else {
+                still.extend(before);
+            }
         }
-        for remark in before.iter().filter(|one| one.is_new_beside(&self.remarks)) {
-            let finding = remark.finding();
-            let over = finding.map(|finding| format!("this is over: {}", finding.what));
-            messages.extend(over.map(|over| self.message(false, &over)));
+        for (_, finding) in told {
+            let over = format!("this is over: {}", finding.what);
+            messages.push(self.message(false, &over));
         }
+        self.told_remarks = still;
         messages
     }
 
@@ -457,11 +477,7 @@ impl Watcher {
                 port: self.place.port,
             });
         }
-        if let Some(Recent { counted, .. }) = self.losses.recent()
-            && counted.duplicates as f64 >= MANY_DUPLICATES * counted.data as f64
-        {
-            remarks.push(Remark::Duplicates(counted.duplicates));
-        }
+        remarks.extend(self.losses.duplicates().map(Remark::Duplicates));
         let pulse = self.receiver.take(now.now, facts.pulse);
         remarks.extend(pulse.and_then(|(pps, fix)| Remark::of_gps(model, pps, fix)));
         // The doubt has both dates.

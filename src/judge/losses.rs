@@ -211,6 +211,14 @@ impl Recent {
         }
     }
 
+    /// Share of the sensor's packets that came twice; 0 if too few came.
+    pub fn duplicates_share(&self) -> f64 {
+        match self.counted.data {
+            ..LEAST_PACKETS => 0.0,
+            data => self.counted.duplicates as f64 / data as f64,
+        }
+    }
+
     /// A sentence with the share missing, the likely cause, and the cure.
     pub fn sentence(&self, place: &SensorAddress) -> String {
         format!("{}: {}", self.what(place), self.cure(place))

@@ -111,6 +111,43 @@ fn losses_that_vary_around_a_limit_are_reported_once() {
 }
 
 #[test]
+fn drops_and_duplicates_that_vary_around_a_limit_are_there_once() {
+    let mut roof = Watched::new();
+    roof.run(10, well);
+    let mut told = vec![(None, false)];
+    for second in 0..120 {
+        // 2.1 % and 3.7 % dropped, 0.7 % and 1.2 % twice, some seconds each.
+        roof.run(
+            1,
+            match second % 12 {
+                0..6 => |tally| came(tally, 375, 14, 5),
+                _ => |tally| came(tally, 375, 8, 2),
+            },
+        );
+        let level = roof.losses.dropping().map(|(level, _)| level);
+        told.push((level, roof.losses.duplicates().is_some()));
+        told.dedup();
+    }
+    let warning = Some(Level::Warning);
+    let begins = [(None, false), (warning, false), (warning, true)];
+    assert!(
+        told.len() <= 3 && told.iter().all(|one| begins.contains(one)),
+        "{told:?}"
+    );
+    assert_eq!(told.last(), Some(&(warning, true)));
+    roof.run(10, well);
+    assert!(roof.losses.dropping().is_none() && roof.losses.duplicates().is_none());
+}
+
+/// What came to the port in half a second.
+fn came(tally: &mut Tally, data: u64, dropped: u64, duplicates: u64) {
+    tally.data += data;
+    tally.received += data;
+    tally.dropped += dropped;
+    tally.duplicates += duplicates;
+}
+
+#[test]
 fn what_comes_first_and_what_came_before_a_reload_is_no_loss() {
     let mut roof = Watched::new();
     // A second in which the model is detected and packets are out of order.

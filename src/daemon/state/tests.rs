@@ -529,6 +529,38 @@ fn what_the_kernel_drops_is_told_though_no_stamp_shows_it() {
 }
 
 #[test]
+fn drops_are_logged_as_they_begin_rise_and_end_however_the_losses_tell_them() {
+    let mut roof = Watched::new(None);
+    let mut told: Vec<Vec<bool>> = Vec::new();
+    // Of 75 that are sent, so many are dropped, and so many missed by the stamps.
+    for (dropped, lost) in [(0, 0), (5, 0), (30, 0), (30, 30), (30, 0), (0, 0)] {
+        let mut texts = Vec::new();
+        for _ in 0..100 {
+            roof.seen.tally.received += 75;
+            roof.seen.tally.data += 75 - lost;
+            roof.seen.tally.dropped += dropped;
+            roof.seen.tally.lost += lost;
+            texts.extend(roof.observe(1, 75, 1));
+        }
+        texts.retain(|text| text.contains("kernel dropped"));
+        told.push(
+            texts
+                .iter()
+                .map(|text| text.contains("this is over"))
+                .collect(),
+        );
+        // Once, by the drops or by the losses.
+        let complaint = roof.watcher.complaint().unwrap_or_default();
+        let times = complaint.matches("kernel dropped").count();
+        assert_eq!(times, usize::from(dropped > 0), "{complaint}");
+    }
+    let [one, none, over] = [vec![false], Vec::new(), vec![true]];
+    // The losses are told once, when they begin.
+    let losses = vec![false; told[3].len().clamp(1, 2)];
+    assert_eq!(told, [none.clone(), one.clone(), one, losses, none, over]);
+}
+
+#[test]
 fn a_sensor_that_changes_again_and_again_is_told_with_how_often() {
     let mut roof = Watched::new(None);
     let models = [Model::Vlp16, Model::Hdl32e, Model::Vlp16];
