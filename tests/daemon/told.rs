@@ -73,6 +73,21 @@ fn a_sensor_that_restarts_is_told_with_how_often() {
     assert!(until_told(&daemon, "it restarted 2 times").contains("its supply"));
 }
 
+#[test]
+fn a_clock_that_jumps_is_told_with_how_often() {
+    let (daemon, port) = daemon(135);
+    let mut sent = vlp16(150.0);
+    // By 20 s, each three seconds.
+    for one in sent.iter_mut().filter(|one| one.is_data) {
+        let ahead_us = one.after.as_secs() as u32 / 3 * 20_000_000;
+        let (_, stamp) = one.payload[..1204].split_last_chunk_mut::<4>().unwrap();
+        let stamp_us = u32::from_le_bytes(*stamp) + ahead_us;
+        *stamp = (stamp_us % 3_600_000_000).to_le_bytes();
+    }
+    let _sending = Sending::start(135, (port, port), sent);
+    assert!(until_told(&daemon, "its clock jumped 2 times").contains("the GPS receiver"));
+}
+
 /// Position packets that come by a port of their own wait for the thread of the sensor.
 #[test]
 fn a_sentence_of_another_kind_is_told_where_it_comes_by_another_port() {

@@ -428,6 +428,26 @@ mod tests {
         }
     }
 
+    #[test]
+    fn the_header_tells_what_is_not_seen_where_no_daemon_is_asked() {
+        use sweepd_sweep::layout::flags;
+        for (bits, level, begins) in [
+            (0, Level::Ok, "streaming"),
+            (flags::DARK_BELOW, Level::Warn, "dark below the horizon: "),
+            (flags::BLIND | flags::DARK_BELOW, Level::Error, "blind: "),
+        ] {
+            let mut header = header();
+            header.flags = bits;
+            let tally = Tally {
+                newest: Some((header, Instant::now())),
+                ..Tally::default()
+            };
+            let (judged, message) = judge(&tally, &Tally::default(), 10.0, None);
+            assert_eq!(judged, level);
+            assert!(message.starts_with(begins), "{message}");
+        }
+    }
+
     fn header() -> sweepd_sweep::Header {
         sweepd_sweep::Header::new(&sweepd_sweep::layout::Shape {
             rows: 16,
