@@ -49,6 +49,7 @@ const ENOUGH: usize = 2;
 const UNMOVED: usize = 3;
 /// Ticks that are coarse, microseconds. By chance, no ten intervals are multiples of so much.
 const COARSE_US: u32 = 1000;
+const MANY: usize = 10;
 /// Product bytes of sensors that use this protocol and are not supported.
 const UNSUPPORTED: [(u8, &str); 2] = [(0x23, "VLP-32A or VLP-32B"), (0x31, "Velarray")];
 /// The packet period of a VLS-128 is within this share of that of its most usual firmware, if
@@ -224,7 +225,7 @@ impl Detector {
         }
         match unsupported(self.bytes.product) {
             Some(sensor) => Err(DetectError::Unsupported { sensor }),
-            None if intervals.tick_us() >= COARSE_US => Err(intervals.coarse()),
+            None if intervals.are_coarse() => Err(intervals.coarse()),
             None => Err(DetectError::UnknownPeriod {
                 median_us: intervals.median(),
                 mode: best.return_mode,
@@ -571,6 +572,12 @@ impl Intervals {
             }
         }
         tick_us
+    }
+
+    /// Whether they show a coarse tick, and not a period that is a multiple of it: then all are alike.
+    fn are_coarse(&self) -> bool {
+        let are_alike = self.us().iter().all(|&us| us == self.us[0]);
+        self.len >= MANY && !are_alike && self.tick_us() >= COARSE_US
     }
 
     fn coarse(&self) -> DetectError {

@@ -490,6 +490,25 @@ fn a_clock_that_stands_still_or_ticks_coarsely_is_an_error() {
 }
 
 #[test]
+fn a_period_of_whole_milliseconds_that_no_model_has_is_no_coarse_clock() {
+    let whole = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11];
+    for packets in [&whole[..], &[0, 1, 2, 4, 5]] {
+        let times = stamps(3_000_000, packets);
+        let (_, verdict) = run(None, (SINGLE, 0x22), false, &times);
+        assert!(
+            matches!(
+                verdict,
+                Err(DetectError::UnknownPeriod {
+                    median_us: 3000,
+                    ..
+                })
+            ),
+            "{verdict:?}"
+        );
+    }
+}
+
+#[test]
 fn streams_too_short_for_a_period_go_by_what_was_said() {
     let strongest = ReturnMode::Strongest;
     for packets in [&[0][..], &[0, 1], &[0, 0, 0, 1]] {
