@@ -204,6 +204,8 @@ pub struct Watcher {
     before: Observation,
     newest_data: Duration,
     newest_sweep: Duration,
+    /// Until when none came, the last time, or none that is decoded.
+    begun: Duration,
     /// Whether it was logged that no packets come at all.
     has_hinted: bool,
     /// Why no packets come, as far as this host knows.
@@ -253,6 +255,7 @@ impl Watcher {
             before: Observation::default(),
             newest_data: now,
             newest_sweep: now,
+            begun: now,
             has_hinted: false,
             silence: None,
             told_silence: None,
@@ -351,6 +354,7 @@ impl Watcher {
                 vec![Finding::new(Severity::Error, Topic::Model, why, "")]
             }
             (State::NoCalibration, _) => vec![no_calibration()],
+            (State::SpinningUp, _) if self.has_begun() => vec![first_turn()],
             (State::SpinningUp | State::WrongModel, _) => vec![no_sweep()],
         };
         let is_silent = matches!(self.state, State::Waiting | State::Stalled);
@@ -366,6 +370,11 @@ impl Watcher {
     fn is_told_by_losses(&self, remark: &Remark) -> bool {
         let are_told = self.state() != State::SpinningUp && self.losses.tell_drops();
         are_told && matches!(remark, Remark::Dropped { .. })
+    }
+
+    /// Whether packets have come for so short a time that there need be no whole turn yet.
+    fn has_begun(&self) -> bool {
+        self.before.now - self.begun < PATIENCE && self.newest_sweep <= self.begun
     }
 
     /// What is not as it should be while packets come.
@@ -527,6 +536,9 @@ impl Watcher {
         }
         let state = self.next(now, now.steady_sweeps > before.steady_sweeps);
         let was = std::mem::replace(&mut self.state, state);
+        if !matches!(was, State::SpinningUp | State::Streaming) {
+            self.begun = now.now;
+        }
         let running = now.running.filter(|_| state == State::Streaming);
         let mut messages = Vec::new();
         let is_other =
@@ -759,10 +771,7 @@ impl Watcher {
                 "does it send its data to another port?",
             )
         } else {
-            let what = format!(
-                "no packets from {address} on port {port} for {} s",
-                PATIENCE.as_secs()
-            );
+            let what = format!("no packets from {address} on port {port}");
             match self.before.data {
                 0 => (
                     Topic::Silent,
@@ -801,6 +810,11 @@ fn no_calibration() -> Finding {
     let what = "an HDL-64E without a calibration file";
     let cure = "waiting for the calibration in its packets, about 2 s";
     Finding::new(Severity::Error, Topic::Calibration, what, cure)
+}
+
+fn first_turn() -> Finding {
+    let what = "packets come, and the first whole turn is awaited";
+    Finding::new(Severity::Error, Topic::Speed, what, "")
 }
 
 fn no_sweep() -> Finding {

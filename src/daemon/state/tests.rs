@@ -61,14 +61,16 @@ impl Watched {
 #[test]
 fn each_change_of_a_sensors_state_is_logged_once() {
     let mut roof = Watched::new(None);
-    let silence = "roof: no packets from 192.168.1.201 on port 2368 for 2 s: is it powered, and is this host its \
+    let silence = "roof: no packets from 192.168.1.201 on port 2368: is it powered, and is this host its \
                        destination?";
     assert_eq!(roof.observe(19, 0, 0), [""; 0]);
     assert_eq!(roof.observe(100, 0, 0), [silence]);
     assert_eq!(roof.watcher.state(), State::Waiting);
     let spinning = "roof: packets arrive from 192.168.1.201, waiting for its first whole turn";
-    assert_eq!(roof.observe(100, 75, 0), [spinning]);
-    assert!(roof.watcher.complaint().is_some());
+    assert_eq!(roof.observe(15, 75, 0), [spinning]);
+    assert_eq!(roof.watcher.complaint(), Some(first_turn().to_string()));
+    assert_eq!(roof.observe(85, 75, 0), [""; 0]);
+    assert_eq!(roof.watcher.complaint(), Some(no_sweep().to_string()));
     let streaming = "roof: streaming, VLP-16 at 600 rpm, one return";
     assert_eq!(roof.observe(100, 75, 1), [streaming]);
     assert_eq!(
@@ -77,7 +79,7 @@ fn each_change_of_a_sensors_state_is_logged_once() {
     );
     // The last turn is not complete.
     assert_eq!(roof.observe(1, 37, 0), [""; 0]);
-    let stalled = "roof: no packets from 192.168.1.201 on port 2368 for 2 s, though they came before: has it lost its power or \
+    let stalled = "roof: no packets from 192.168.1.201 on port 2368, though they came before: has it lost its power or \
                        its cable, or was its destination changed?";
     assert_eq!(roof.observe(50, 0, 0), [stalled]);
     assert_eq!(roof.watcher.state(), State::Stalled);
@@ -92,8 +94,7 @@ fn why_no_packets_come_is_logged_when_it_is_known_and_once_a_minute_at_most() {
     for (why, told) in [("one", 1), ("one", 0), ("another", 0)] {
         let (what, cure) = (why.to_owned(), "change it".to_owned());
         roof.watcher.explain_silence(Some(Cause { what, cure }));
-        let silence =
-            format!("roof: no packets from 192.168.1.201 on port 2368 for 2 s: {why}: change it");
+        let silence = format!("roof: no packets from 192.168.1.201 on port 2368: {why}: change it");
         let expected = vec![silence.clone(); told];
         assert_eq!(roof.observe(100, 0, 0), expected);
         assert_eq!(
