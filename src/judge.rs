@@ -90,6 +90,9 @@ pub struct Finding {
     pub what: String,
     /// The cure, a line for each step; empty if there is nothing to do.
     pub cure: String,
+    /// Whether the cure only asks, because the cause is not known.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub asks: bool,
 }
 
 impl Finding {
@@ -105,7 +108,15 @@ impl Finding {
             topic,
             what: what.into(),
             cure: cure.into(),
+            asks: false,
         }
+    }
+
+    /// The same, whose cure only asks.
+    #[must_use]
+    pub fn asking(mut self) -> Self {
+        self.asks = true;
+        self
     }
 
     /// Whether something is wrong.

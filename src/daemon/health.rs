@@ -139,16 +139,20 @@ impl View {
     }
 
     /// All that is wrong and worth knowing, with cures: of each sensor under its name.
-    fn findings(&self) -> Vec<Finding> {
+    fn findings(&self) -> Vec<Value> {
         let mut findings = Vec::new();
         for (sensor, condition) in self.sensors.iter().zip(&self.conditions) {
-            let all = condition.findings.iter().cloned();
-            findings.extend(all.map(|finding| finding.of(&sensor.name)));
+            for finding in condition.findings.iter().cloned() {
+                let mut told = json!(finding.of(&sensor.name));
+                told["sensor"] = json!(sensor.name);
+                findings.push(told);
+            }
         }
         for fault in self.other_faults() {
-            findings.push(Finding::new(Severity::Error, Topic::Daemon, fault, ""));
+            let finding = Finding::new(Severity::Error, Topic::Daemon, fault, "");
+            findings.push(json!(finding));
         }
-        findings.extend(self.refused.clone());
+        findings.extend(self.refused.iter().map(|finding| json!(finding)));
         findings
     }
 

@@ -790,7 +790,7 @@ impl Watcher {
                 let what = format!("{what}: {}", cause.what);
                 Finding::new(Severity::Error, topic, what, &cause.cure[..])
             }
-            None => Finding::new(Severity::Error, topic, what, question),
+            None => Finding::new(Severity::Error, topic, what, question).asking(),
         }
     }
 

@@ -132,9 +132,11 @@ fn serves(health: &Value, port: u16) -> bool {
 fn daemon(seen: &Observations, health: &Value, findings: &mut Findings) {
     let reasons: Vec<String> = elements(&health["reasons"]).filter_map(clean).collect();
     if health["findings"].is_array() {
-        let told = elements(&health["findings"]).filter_map(finding);
-        let told = told.map(|one| silence::beside(seen, health, one));
-        findings.0.extend(told);
+        for told in elements(&health["findings"]) {
+            let finding = finding(told);
+            let finding = finding.map(|one| silence::beside(seen, health, &told["sensor"], one));
+            findings.0.extend(finding);
+        }
     } else {
         of_older(health, &reasons, findings);
     }
@@ -191,12 +193,11 @@ fn finding(told: &Value) -> Option<Finding> {
     let topic = Topic::deserialize(&told["topic"]).unwrap_or(Topic::Daemon);
     let steps = told["cure"].as_str().unwrap_or_default().lines();
     let steps: Vec<String> = steps.filter_map(|step| clean(&step.into())).collect();
-    Some(Finding::new(
-        severity,
-        topic,
-        clean(&told["what"])?,
-        steps.join("\n"),
-    ))
+    let finding = Finding::new(severity, topic, clean(&told["what"])?, steps.join("\n"));
+    Some(match told["asks"] == true {
+        true => finding.asking(),
+        false => finding,
+    })
 }
 
 /// A sensor of a running daemon, in a line.

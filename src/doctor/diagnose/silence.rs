@@ -4,7 +4,7 @@ use std::net::{IpAddr, Ipv4Addr};
 
 use serde_json::Value;
 
-use super::{Findings, clean, elements, serves};
+use super::{Findings, elements, serves};
 use crate::doctor::observe::{Observations, PortResult, Web};
 use crate::doctor::plan::{ExpectedSensor, ipv4};
 use crate::doctor::{Finding, Topic};
@@ -180,17 +180,16 @@ fn ipv4_of(address: IpAddr) -> Option<Ipv4Addr> {
     ipv4([address].into_iter()).next()
 }
 
-/// The same of a sensor that a running daemon hears nothing of: its cures are those that are told
+/// The same of a sensor, by its name, that a running daemon hears nothing of: its cures are those that are told
 /// without a daemon, after that of a cause which the daemon knows. Any other finding stays as it is.
-pub(super) fn beside(seen: &Observations, health: &Value, mut finding: Finding) -> Finding {
-    if finding.topic != Topic::Silent {
-        return finding;
-    }
-    let is_it = |sensor: &&Value| {
-        let name = clean(&sensor["name"]);
-        name.is_some_and(|name| finding.what.starts_with(&format!("{name}: ")))
-    };
-    let Some(sensor) = elements(&health["sensors"]).find(is_it) else {
+pub(super) fn beside(
+    seen: &Observations,
+    health: &Value,
+    name: &Value,
+    finding: Finding,
+) -> Finding {
+    let sensor = elements(&health["sensors"]).find(|sensor| sensor["name"] == *name);
+    let Some(sensor) = sensor.filter(|_| finding.topic == Topic::Silent) else {
         return finding;
     };
     let address = sensor["address"].as_str();
@@ -201,12 +200,15 @@ pub(super) fn beside(seen: &Observations, health: &Value, mut finding: Finding) 
     let ports = sensor["port"].to_string();
     let web = address.and_then(|address| seen.web_at(address));
     let mut steps = cure_of_silence(seen, &ports, port, address, web);
-    // The daemon asks where it knows no cause.
-    if !finding.cure.ends_with('?') {
+    if !finding.asks {
         steps.insert(0, finding.cure);
     }
-    finding.cure = steps.join("\n");
-    finding
+    Finding::new(
+        finding.severity,
+        finding.topic,
+        finding.what,
+        steps.join("\n"),
+    )
 }
 
 /// Cures of silence of a sensor, if one is meant, on these ports; `web` is the page of the sensor, if

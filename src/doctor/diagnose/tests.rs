@@ -594,11 +594,14 @@ fn beside_a_daemon_its_findings_are_told_and_silence_as_without_one() {
     let mut seen = silent();
     seen.ports[0].result = PortResult::Taken("port 2368 is taken: sweepd listens on it".to_owned());
     seen.ports[1].result = PortResult::Taken("port 8308 is taken: sweepd listens on it".to_owned());
-    let finding = |severity: &str, topic: &str, what: &str| json!({"severity": severity, "topic": topic, "what": what, "cure": "a cure"});
+    let finding = |severity: &str, topic: &str, what: &str| json!({"severity": severity, "topic": topic, "what": what, "cure": "a cure", "sensor": "roof"});
+    let mut silence = finding("error", "silent", "roof: no packets");
+    silence["asks"] = json!(true);
+    let known = finding("error", "silent", "roof: no packets, and it is known why");
     seen.daemon = Some(Ok(json!({
         "status": "fault", "reasons": ["roof: waiting: no packets"], "ports": [{"port": 2368}, {"port": 8308}],
         "sensors": [{"name": "roof", "address": "192.168.1.201", "port": 2368, "state": "waiting"}],
-        "findings": [finding("error", "silent", "roof: no packets"), finding("warning", "loss", "roof: 9 packets came twice"),
+        "findings": [silence, known, finding("warning", "loss", "roof: 9 packets came twice"),
                      finding("note", "of-tomorrow", "roof: is purple\u{1b}[2J"), 5, {}],
     })));
     let findings = diagnose(&seen);
@@ -608,20 +611,23 @@ fn beside_a_daemon_its_findings_are_told_and_silence_as_without_one() {
         "Data Port",
         "nft list ruleset",
     ];
-    holds(&findings[0], Severity::Error, Topic::Silent, &cures);
+    for (finding, is_known) in findings[..2].iter().zip([false, true]) {
+        holds(finding, Severity::Error, Topic::Silent, &cures);
+        assert_eq!(finding.cure.starts_with("a cure\n"), is_known);
+    }
     holds(
-        &findings[1],
+        &findings[2],
         Severity::Warning,
         Topic::Loss,
         &["came twice", "a cure"],
     );
     holds(
-        &findings[2],
+        &findings[3],
         Severity::Note,
         Topic::Daemon,
         &["roof: is purple[2J"],
     );
-    assert_eq!(findings.iter().filter(|one| one.is_trouble()).count(), 2);
+    assert_eq!(findings.iter().filter(|one| one.is_trouble()).count(), 3);
 }
 
 #[test]

@@ -75,12 +75,7 @@ impl Trial {
             }
             _ => (Severity::Note, floor::NOT_SEEN.to_owned(), String::new()),
         };
-        Some(Finding {
-            severity,
-            topic: Topic::Mount,
-            what,
-            cure,
-        })
+        Some(Finding::new(severity, Topic::Mount, what, cure))
     }
 
     /// Why the box is no object of its own, and what to change.
@@ -242,10 +237,5 @@ fn aside(right_m: f64) -> String {
 }
 
 fn error(what: String, cure: String) -> Finding {
-    Finding {
-        severity: Severity::Error,
-        topic: Topic::Obstacle,
-        what,
-        cure,
-    }
+    Finding::new(Severity::Error, Topic::Obstacle, what, cure)
 }
