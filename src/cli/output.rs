@@ -265,9 +265,30 @@ pub struct Outputs {
     stdout: Option<BufWriter<Stdout>>,
     timing: bool,
     places: Vec<PathBuf>,
-    /// Folders that were made for it, each before those above it.
-    made: Vec<PathBuf>,
     sweeps: u64,
+    _made: MadeFolders,
+}
+
+/// Folders that were made, each before those above it. In the end those that are empty are removed:
+/// there was no sweep, or an error came first.
+struct MadeFolders(Vec<PathBuf>);
+
+impl MadeFolders {
+    /// Those that are still to be made for these.
+    fn of<'a>(folders: impl Iterator<Item = &'a PathBuf>) -> Self {
+        let is_missing = |dir: &&Path| !dir.as_os_str().is_empty() && !dir.exists();
+        let missing = folders.flat_map(|dir| dir.ancestors().take_while(is_missing));
+        Self(missing.map(Path::to_owned).collect())
+    }
+}
+
+impl Drop for MadeFolders {
+    fn drop(&mut self) {
+        for dir in &self.0 {
+            // Fails where something is in it.
+            let _ = fs::remove_dir(dir);
+        }
+    }
 }
 
 /// Which sweep is written.
@@ -339,6 +360,7 @@ impl Outputs {
         ] {
             files.extend(dir.clone().map(|dir| (dir, format)));
         }
+        let made = MadeFolders::of(files.iter().map(|(dir, _)| dir).chain(&options.bag));
         let frame = options.frame;
         let existing = options.force.existing();
         let stdout = options.json.then(|| BufWriter::new(io::stdout()));
@@ -368,14 +390,9 @@ impl Outputs {
             stdout,
             timing: !options.no_timing,
             places: options.places(),
-            made: Vec::new(),
             sweeps: 0,
+            _made: made,
         };
-        for (dir, _) in &outputs.files {
-            let is_missing = |dir: &&Path| !dir.as_os_str().is_empty() && !dir.exists();
-            let missing = dir.ancestors().take_while(is_missing);
-            outputs.made.extend(missing.map(Path::to_owned));
-        }
         outputs.exporters(0, "")?;
         for (dir, format) in &outputs.files {
             let former = Former::find(dir, existing, "sweep", |name| is_sweep_file(name, *format))?;
@@ -517,15 +534,6 @@ impl Outputs {
             }
         }
         Ok(exporters)
-    }
-}
-
-impl Drop for Outputs {
-    /// Removes the folders that were made and are empty: there was no sweep, or an error came first.
-    fn drop(&mut self) {
-        for dir in &self.made {
-            let _ = fs::remove_dir(dir);
-        }
     }
 }
 

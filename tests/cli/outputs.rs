@@ -115,11 +115,17 @@ fn less_than_a_turn_names_the_option_that_gives_it() {
         assert!(!path.exists(), "{}", path.display());
     }
     replay(&capture, &["--end=0.05", "--json"]).says(&["--partial"]);
+    let bag = folder.path("deep/er/bag");
+    let bag = ["--bag", bag.to_str().unwrap()];
+    replay(&capture, &[&["--end=0.05"], &bag[..]].concat()).says(&["--partial"]);
+    assert!(!folder.path("deep").exists());
     // Nor does what is no capture leave a folder.
     let no_capture = folder.path("no.pcap");
     fs::write(&no_capture, "hello").unwrap();
-    replay(&no_capture, &["--png", pictures]).says(&["no.pcap is no capture"]);
-    assert!(!Path::new(pictures).parent().unwrap().exists());
+    for option in [["--png", pictures], bag] {
+        replay(&no_capture, &option).says(&["no.pcap is no capture"]);
+    }
+    assert!(!Path::new(pictures).parent().unwrap().exists() && !folder.path("deep").exists());
     let said = replay(&capture, &[&options[..], &["--partial"]].concat()).done();
     let places = [pictures, mcap, segments, raw].join(", ");
     assert!(

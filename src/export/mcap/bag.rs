@@ -20,11 +20,10 @@ const QOS_NUMBERS: [(&str, &str); 5] = [
     ("automatic", "1"),
 ];
 
-/// A folder under way; one that was made for it, and is empty, is removed unless it is finished.
+/// A folder under way.
 pub(super) struct BagFolder {
     path: PathBuf,
     existing: Existing,
-    is_made: bool,
 }
 
 /// What is in the file.
@@ -51,7 +50,6 @@ impl BagFolder {
     /// [`WriteError`]: it holds a bag that must not be replaced, or cannot be made.
     pub(super) fn create(path: &Path, existing: Existing) -> Result<Self, WriteError> {
         output::check(&path.join(METADATA), existing)?;
-        let is_made = !path.exists();
         fs::create_dir_all(path).map_err(|cause| WriteError::Directory {
             path: path.to_owned(),
             cause,
@@ -59,7 +57,6 @@ impl BagFolder {
         Ok(Self {
             path: path.to_owned(),
             existing,
-            is_made,
         })
     }
 
@@ -84,15 +81,6 @@ impl BagFolder {
         let metadata = contents.metadata(&self.file_name());
         let path = self.path.join(METADATA);
         output::write(&path, metadata.as_bytes(), self.existing)
-    }
-}
-
-impl Drop for BagFolder {
-    fn drop(&mut self) {
-        if self.is_made {
-            // Fails where something is in it.
-            let _ = fs::remove_dir(&self.path);
-        }
     }
 }
 
