@@ -3,6 +3,7 @@
 use sweepd_core::assemble::GpsDoubt;
 use sweepd_core::wire::nmea::NmeaError;
 
+use crate::input::FIRST_NS;
 use crate::judge::{Finding, Severity, Topic};
 use crate::text::utc_text;
 
@@ -58,6 +59,15 @@ pub fn finding(doubt: &GpsDoubt) -> Finding {
         sentence(doubt),
         cure(doubt),
     )
+}
+
+/// As [`finding`], of a capture: where its times are none, [`remark`](crate::input::Capture::remark)
+/// says so, and not that the receiver's are far from them.
+pub fn capture_finding(doubt: &GpsDoubt) -> Option<Finding> {
+    match doubt {
+        GpsDoubt::Far { host_ns, .. } if *host_ns < FIRST_NS => None,
+        _ => Some(finding(doubt)),
+    }
 }
 
 /// What to do about a sentence that cannot be read.

@@ -37,6 +37,7 @@ use payloads::Payloads;
 pub use pcap::CaptureReader;
 use source::{Input, Opened};
 use sweepd_core::wire::{DATA_PORT, Datagram};
+pub(crate) use times::FIRST_NS;
 pub use udp::{UdpConfig, UdpError, UdpSource};
 pub use write::PcapWriter;
 
@@ -218,11 +219,11 @@ impl Capture {
     /// # Errors
     /// [`CaptureError`]: it cannot be read, or is not a capture.
     pub fn new(name: &str, source: Box<dyn Read + Send>) -> Result<Self, CaptureError> {
-        let opened = Opened::new(name, source)?;
+        let mut opened = Opened::new(name, source)?;
         if Bag::is_magic(&opened.head) {
             return Bag::over(opened).map(Self::of_bag);
         }
-        if Payloads::is_magic(&opened.head) {
+        if Payloads::is_in(&mut opened)? {
             return Ok(Self {
                 reader: Reader::Payloads(Box::new(Payloads::over(opened))),
                 stats: CaptureStats::default(),

@@ -13,12 +13,12 @@ use std::net::{Ipv4Addr, SocketAddr};
 use super::error::{CaptureError, Damage, Place, Stop, Truncation};
 use super::source::Opened;
 use super::times::{SensorClock, sensor_us};
-use sweepd_core::wire::data::{DATA_PACKET_LEN, FLAG_BANK_0, FLAGS};
-use sweepd_core::wire::position::POSITION_PACKET_LEN;
-use sweepd_core::wire::{DATA_PORT, Datagram, POSITION_PORT};
+use sweepd_core::wire::data::{DATA_PACKET_LEN, FLAGS};
+use sweepd_core::wire::position::{POSITION_PACKET_LEN, Position};
+use sweepd_core::wire::{DATA_PORT, Datagram, HOUR_US, POSITION_PORT};
 
-/// Where the sentence of the receiver stands in a position packet (VLP-16 User Manual, section 9.3).
-const SENTENCE_AT: usize = 206;
+/// A position packet begins with so many zeros.
+const ZEROS: [u8; 14] = [0; 14];
 
 /// A file of bare packets, packet by packet.
 pub(super) struct Payloads {
@@ -29,14 +29,22 @@ pub(super) struct Payloads {
     packets: u64,
     /// At the last data packet.
     clock: Option<SensorClock>,
+    time_ns: i64,
     ended: bool,
     truncation: Option<Truncation>,
 }
 
 impl Payloads {
-    /// Whether bare packets begin with these bytes.
-    pub(super) fn is_magic(head: &[u8]) -> bool {
-        head.starts_with(&FLAG_BANK_0.to_le_bytes())
+    /// Whether what was opened begins with a packet. What begins with zeros is read up to the end of
+    /// a position packet.
+    ///
+    /// # Errors
+    /// [`CaptureError`]: it cannot be read.
+    pub(super) fn is_in(opened: &mut Opened) -> Result<bool, CaptureError> {
+        if opened.head.starts_with(&ZEROS) {
+            opened.read_on(POSITION_PACKET_LEN)?;
+        }
+        Ok(is_data(&opened.head) || is_position(&opened.head))
     }
 
     /// Reads on from the first bytes.
@@ -48,6 +56,7 @@ impl Payloads {
             len: 0,
             packets: 0,
             clock: None,
+            time_ns: 0,
             ended: false,
             truncation: None,
         }
@@ -97,17 +106,20 @@ impl Payloads {
         if !self.opened.input.begin(position)? {
             return Ok(0);
         }
-        let flag = u16::from_le_bytes([position[0], position[1]]);
-        if !FLAGS.contains(&flag) {
-            if !position[SENTENCE_AT..].starts_with(b"$") && position[0] != 0 {
+        if !is_data(position) {
+            if !is_position(position) {
                 return Err(Damage::BagRecord { what: "packet" }.into());
+            }
+            // The first data packet begins the clock.
+            if let (None, Ok(position)) = (self.clock, Position::parse(position)) {
+                self.time_ns = i64::from(position.stamp_us) * 1000;
             }
             return Ok(POSITION_PACKET_LEN);
         }
         self.opened.input.fill_whole(rest)?;
         if let Some(stamp_us) = sensor_us(&self.packet) {
             let begun = SensorClock::new(i64::from(stamp_us) * 1000, stamp_us);
-            self.clock.get_or_insert(begun).advance(stamp_us);
+            self.time_ns = self.clock.get_or_insert(begun).advance(stamp_us);
         }
         Ok(DATA_PACKET_LEN)
     }
@@ -119,7 +131,7 @@ impl Payloads {
             _ => DATA_PORT,
         };
         Datagram {
-            arrival_ns: self.clock.map_or(0, |clock| clock.time_ns),
+            arrival_ns: self.time_ns,
             source: SocketAddr::from((Ipv4Addr::UNSPECIFIED, port)),
             destination_port: port,
             payload: &self.packet[..self.len],
@@ -133,4 +145,18 @@ impl Payloads {
     pub(super) fn name(&self) -> &str {
         &self.opened.name
     }
+}
+
+/// Whether a data packet begins so.
+fn is_data(bytes: &[u8]) -> bool {
+    let flag = bytes.first_chunk().map(|flag| u16::from_le_bytes(*flag));
+    flag.is_some_and(|flag| FLAGS.contains(&flag))
+}
+
+/// Whether this is a position packet: it has the sentence of a receiver, or at least a stamp.
+fn is_position(bytes: &[u8]) -> bool {
+    Position::parse(bytes).is_ok_and(|position| {
+        let has_sentence = position.nmea.is_some_and(|text| text.starts_with('$'));
+        has_sentence || bytes.starts_with(&ZEROS) && (1..HOUR_US).contains(&position.stamp_us)
+    })
 }

@@ -75,7 +75,7 @@ fn open_file(path: &Path) -> io::Result<File> {
 pub(super) struct Opened {
     pub(super) name: String,
     pub(super) input: Input,
-    /// At most [`HEAD_LEN`].
+    /// [`HEAD_LEN`], or more if that was read on, or all that there are.
     pub(super) head: Vec<u8>,
 }
 
@@ -95,6 +95,16 @@ impl Opened {
             input,
             head,
         })
+    }
+
+    /// Reads on until the head has `len` bytes, or all that there are.
+    pub(super) fn read_on(&mut self, len: usize) -> Result<(), CaptureError> {
+        let begun = self.head.len();
+        self.head.resize(len.max(begun), 0);
+        let filled = self.input.fill(&mut self.head[begun..]);
+        let more = filled.map_err(|stop| stop.at_opening(&self.name))?;
+        self.head.truncate(begun + more);
+        Ok(())
     }
 
     /// The error for what is no capture.

@@ -401,42 +401,52 @@ fn a_frame_that_was_sent_short_is_not_cut_short() {
 
 #[test]
 fn bare_packets_have_the_clock_of_the_sensor() {
-    let packet = |stamp_us: u32| {
+    let packet = |bank: u8, stamp_us: u32| {
         let mut bytes = [1; 1206];
-        bytes[..2].copy_from_slice(&[0xFF, 0xEE]);
+        bytes[..2].copy_from_slice(&[0xFF, bank]);
         bytes[1200..1204].copy_from_slice(&stamp_us.to_le_bytes());
         bytes.to_vec()
     };
+    let position = |stamp_us: u32, sentence: &[u8]| {
+        let mut bytes = vec![0; 512];
+        bytes[0xC6..][..4].copy_from_slice(&stamp_us.to_le_bytes());
+        bytes[0xCE..][..sentence.len()].copy_from_slice(sentence);
+        bytes
+    };
     let file = [
-        packet(3_599_999_000),
-        vec![0; 512],
-        packet(327),
-        packet(200),
+        position(3_599_998_000, b""),
+        packet(0xDD, 3_599_999_000),
+        position(0, b"$GPRMC,"),
+        packet(0xEE, 327),
+        packet(0xEE, 200),
     ]
     .concat();
     let (all, capture) = datagrams(&file).unwrap();
     let found: Vec<_> = all.iter().map(|one| (one.0 / 1000, one.1.len())).collect();
     let expected = [
+        (3_599_998_000, 512),
         (3_599_999_000, 1206),
         (3_599_999_000, 512),
         (3_600_000_327, 1206),
         (3_600_000_200, 1206),
     ];
     assert_eq!((&found[..], capture.truncation()), (&expected[..], None));
-    let (all, capture) = datagrams(&file[..2000]).unwrap();
+    let (all, capture) = datagrams(&file[512..2512]).unwrap();
     let says = "the capture breaks off at record 2 (byte 1718): the file ends inside it";
     assert_eq!(
         (all.len(), capture.truncation().unwrap().to_string()),
         (2, says.to_owned())
     );
-    let (_, capture) = datagrams(&[&file[..1206], b"#!/bin/sh ", &[b'x'; 2000]].concat()).unwrap();
-    assert!(
-        capture
-            .truncation()
-            .unwrap()
-            .to_string()
-            .contains("its packet is damaged")
-    );
+    // Neither text nor a hole of zeros is a packet.
+    for other in [&[b'x'; 2000], &[0; 2000]] {
+        let (all, capture) = datagrams(&[&file[512..1718], other].concat()).unwrap();
+        let says = capture.truncation().unwrap().to_string();
+        assert!(
+            all.len() == 1 && says.contains("its packet is damaged"),
+            "{says}"
+        );
+    }
+    assert!(datagrams(&[0; 4000]).is_none());
 }
 
 /// The record time of a packet, microseconds, by its number.

@@ -9,7 +9,7 @@ use sweepd_core::wire::data::DATA_PACKET_LEN;
 
 const SECOND_NS: i64 = 1_000_000_000;
 /// 1990, nanoseconds since 1970: no spinning sensor is as old.
-pub(super) const FIRST_NS: i64 = 631_152_000 * SECOND_NS;
+pub(crate) const FIRST_NS: i64 = 631_152_000 * SECOND_NS;
 /// Sensor time in which a time must go on: longer than the tick of any clock and than machines hold
 /// packets back, and less than a turn.
 pub(super) const JUDGED_AFTER_US: i64 = 40_000;

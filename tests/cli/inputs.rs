@@ -1,6 +1,7 @@
 //! Captures in all their forms, with one sensor or several.
 
 use crate::{Folder, fixture, made, replay, sweepd_with_stdin, sweeps};
+use sweepd::wire::position::{Position, Pps};
 
 #[test]
 fn every_container_gives_the_same_sweeps_also_from_standard_input() {
@@ -173,11 +174,24 @@ fn bare_packets_and_times_that_are_none_give_the_same_sweeps() {
     for sent in &mut frozen {
         sent.arrival_ns = datagrams[0].arrival_ns;
     }
+    // Positions before and between them are no damage, nor is the date of a receiver a warning.
+    let mut position = Position {
+        stamp_us: 0,
+        pps: Pps::Locked,
+        nmea: Some("$GPRMC,081802.00,A,5120.0,N,00002.0,E,0.1,,231116,,,A*70"),
+        inertial: None,
+        board: None,
+        thermal: None,
+    };
     let mut bare = Vec::new();
     for sent in datagrams.iter().filter(|sent| sent.is_data()) {
+        let [.., a, b, c, d, _, _] = sent.payload[..] else {
+            panic!("a data packet")
+        };
+        position.stamp_us = u32::from_le_bytes([a, b, c, d]);
+        bare.extend(position.emit());
         bare.extend(&sent.payload);
-        // Positions between them are no damage.
-        bare.extend([0; 512]);
+        position.nmea = None;
     }
     for (name, bytes, says) in [
         (

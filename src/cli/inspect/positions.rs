@@ -61,8 +61,8 @@ impl Positions {
         let rate = rate(self.packets, self.first_ns, self.last_ns);
         row(text, "position", format_args!("{packets}{rate}{whose}"));
         row(text, "GPS", self.gps());
-        if let Some(doubt) = &self.doubt {
-            row(text, "GPS time", gps::finding(doubt));
+        if let Some(finding) = self.doubt.as_ref().and_then(gps::capture_finding) {
+            row(text, "GPS time", finding);
         }
         if let Some((top, bottom)) = self.board_c {
             row(

@@ -219,8 +219,10 @@ impl<'a> Track<'a> {
 
     /// Shows what is doubtful about the time of its GPS receiver, the first time.
     fn show_gps_doubt(&mut self, doubt: GpsDoubt) {
-        if self.gps_doubt.replace(doubt).is_none() {
-            let message = format!("{}: {}", self.name, gps::finding(&doubt));
+        if self.gps_doubt.replace(doubt).is_none()
+            && let Some(finding) = gps::capture_finding(&doubt)
+        {
+            let message = format!("{}: {finding}", self.name);
             self.progress.suspend(|| complain("warning", message));
         }
     }
