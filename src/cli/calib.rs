@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use super::error::read_calibration;
 use super::output::ForceOptions;
-use super::{CliError, complain};
+use super::{CliError, complain, warn_of};
 use crate::admission::{Sender, SensorFilter};
 use crate::files::output;
 use crate::input::{Capture, Placed};
@@ -212,9 +212,7 @@ fn from_capture(args: &FromCapture) -> Result<(), CliError> {
     output::check(&args.out, existing)?;
     let mut capture = Capture::open(&args.capture)?;
     let units = read_units(&mut capture, args.sensor.clone())?;
-    if let Some(truncation) = capture.truncation() {
-        complain("warning", truncation);
-    }
+    warn_of(&capture, "");
     let unit = only_unit(&units).map_err(|message| args.refused(&message))?;
     let name = &unit.name;
     let (Some(dump), Some(series)) = (unit.status.dump(), unit.status.series()) else {

@@ -9,7 +9,7 @@ use crate::daemon::DaemonError;
 use crate::daemon::config::ConfigError;
 use crate::daemon::record::client::RemoteRecordError;
 use crate::files::{self, CalibrationFileError, WriteError};
-use crate::input::{CaptureError, UdpError};
+use crate::input::{Capture, CaptureError, UdpError};
 use crate::publish::PublishError;
 use crate::text::visible;
 use sweepd_client::client::ClientError;
@@ -119,6 +119,22 @@ pub(super) fn report(error: &CliError) {
 /// message is lost.
 pub fn complain(severity: &str, message: impl Display) {
     let _ = writeln!(io::stderr(), "{severity}: {}", visible(message));
+}
+
+/// Warns of times of a capture that are none.
+pub fn warn_of_times(capture: &Capture) {
+    if let Some(remark) = capture.remark() {
+        complain("warning", format_args!("{}: {remark}", capture.name()));
+    }
+}
+
+/// Warns of all that is wrong with a capture that was read; `and` is what came of a damaged one.
+pub fn warn_of(capture: &Capture, and: &str) {
+    if let Some(truncation) = capture.truncation() {
+        let name = capture.name();
+        complain("warning", format_args!("{name}: {truncation}{and}"));
+    }
+    warn_of_times(capture);
 }
 
 /// Reads a calibration, and shows what there is to know of it.

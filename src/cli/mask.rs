@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use super::options::{SegmentOptions, SensorOptions, within};
 use super::output::ForceOptions;
 use super::sections::Sections;
-use super::{CliError, complain};
+use super::{CliError, complain, warn_of};
 use crate::cure::{Dialect, explain};
 use crate::files;
 use crate::files::output;
@@ -112,9 +112,7 @@ fn read(args: &Args) -> Result<Views, CliError> {
         })?;
     }
     streams.end();
-    if let Some(truncation) = capture.truncation() {
-        complain("warning", truncation);
-    }
+    warn_of(&capture, "");
     let views = sections.only_one(streams);
     views.map_err(|why| CliError::Usage(format!("{}: {why}", capture.name())))
 }

@@ -39,7 +39,7 @@ use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
 use error::report;
-pub use error::{CliError, complain};
+pub use error::{CliError, complain, warn_of, warn_of_times};
 
 /// Turns the packets of a spinning Velodyne into range images, cut into ground and numbered objects
 #[derive(Debug, Parser)]

@@ -292,22 +292,11 @@ impl Capture {
         match &self.reader {
             Reader::Frames(frames) => match frames.arrivals.times {
                 RecordTimes::Open | RecordTimes::Good => None,
-                RecordTimes::Old => Some(
-                    "times of its records lie before 1990: the clock that gave them was not set",
-                ),
-                RecordTimes::Mended => Some(
-                    "times of its records stand still, go back, have whole seconds alone or lie before 1990: the sensor's clock \
-                     gives them",
-                ),
+                RecordTimes::Old => Some(times::OLD),
+                RecordTimes::Mended => Some(times::MENDED),
             },
-            Reader::Bag(bag) if bag.is_restamped() => Some(
-                "stamps of its packets stand still, go back, have whole seconds alone or lie before 1990: the times at which the bag \
-                 recorded the messages are taken where they go on, with the sensor's clock between them",
-            ),
-            Reader::Bag(_) => None,
-            Reader::Payloads(_) => Some(
-                "bare packets have no times: the sensor's clock gives them, as if its hour were the first of 1970",
-            ),
+            Reader::Bag(bag) => bag.is_restamped().then_some(times::RESTAMPED),
+            Reader::Payloads(_) => Some(times::BARE),
         }
     }
 

@@ -21,6 +21,26 @@ const SET_BACK_NS: RangeInclusive<i64> = SECOND_NS / 2..=1800 * SECOND_NS;
 /// How much earlier a packet may be that comes late.
 const LATE_US: i64 = 100_000;
 /// With a longer step the clock of the sensor was set, or another recording begins.
+/// What people should know of times that are none, and of what stands for them.
+macro_rules! none {
+    ($times:literal, $instead:literal) => {
+        concat!(
+            $times,
+            " stand still, go back, have whole seconds alone or lie before 1990: ",
+            $instead
+        )
+    };
+}
+
+pub(super) const OLD: &str =
+    "times of its records lie before 1990: the clock that gave them was not set";
+pub(super) const MENDED: &str = none!("times of its records", "the sensor's clock gives them");
+pub(super) const RESTAMPED: &str = none!(
+    "stamps of its packets",
+    "the times at which the bag recorded the messages are taken where they go on, with the sensor's clock between them"
+);
+pub(super) const BARE: &str = "bare packets have no times: the sensor's clock gives them, as if its hour were the first of 1970";
+
 const LONGEST_US: i64 = 60_000_000;
 
 /// The stamp of the sensor in a data packet, microseconds of the hour.

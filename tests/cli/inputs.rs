@@ -1,6 +1,6 @@
 //! Captures in all their forms, with one sensor or several.
 
-use crate::{Folder, fixture, made, replay, sweepd_with_stdin, sweeps};
+use crate::{Folder, fixture, made, replay, sweepd, sweepd_with_stdin, sweeps};
 use sweepd::wire::position::{Position, Pps};
 
 #[test]
@@ -192,6 +192,19 @@ fn bare_packets_and_times_that_are_none_give_the_same_sweeps() {
         bare.extend(position.emit());
         bare.extend(&sent.payload);
         position.nmea = None;
+    }
+    // All commands say so, whatever else is wrong for them.
+    let path = folder.write("frozen.pcap", made::pcap(&frozen));
+    let (path, out) = (path.to_str().unwrap(), folder.path("out"));
+    let out = out.to_str().unwrap();
+    for args in [
+        &["mask", path, "-o", out][..],
+        &["calib", "from-capture", path, "-o", out],
+        &["doctor", "--obstacle", "0.25,2", path],
+    ] {
+        let told = sweepd(args).stderr;
+        let says = "frozen.pcap: times of its records stand still";
+        assert!(told.contains(says), "{args:?}: {told}");
     }
     for (name, bytes, says) in [
         (

@@ -11,7 +11,7 @@ use super::{Args, print_findings, print_ports, write_json};
 use crate::admission::Sender;
 use crate::cli::options::SensorChoice;
 use crate::cli::sections::Sections;
-use crate::cli::{CliError, complain};
+use crate::cli::{CliError, complain, warn_of};
 use crate::cure::{Dialect, explain};
 use crate::doctor::obstacle::{ENOUGH_PERCENT, Obstacle, Report, SWEEPS, Seen, Trial};
 use crate::doctor::{Finding, Plan};
@@ -132,9 +132,7 @@ fn read(
     {
         let _ = streams.take(&placed, |_, sender| begin(sender))?;
     }
-    if let Some(truncation) = capture.truncation() {
-        complain("warning", truncation);
-    }
+    warn_of(&capture, "");
     Ok(())
 }
 

@@ -3,21 +3,15 @@
 use super::args::Args;
 use super::summary::SensorReport;
 use crate::admission::DiscoveredSensors;
-use crate::cli::complain;
 use crate::cli::sections::Sections;
+use crate::cli::{complain, warn_of};
 use crate::input::{Capture, CaptureError};
 use crate::text::{count_of, utc_text};
 
 /// Shows where the capture is damaged. Returns whether it could be read at all.
 pub(super) fn show_damage(capture: &Capture, read: Result<(), CaptureError>) -> bool {
+    warn_of(capture, "; everything before was replayed");
     let name = capture.name();
-    if let Some(truncation) = capture.truncation() {
-        let message = format!("{name}: {truncation}; everything before was replayed");
-        complain("warning", message);
-    }
-    if let Some(remark) = capture.remark() {
-        complain("warning", format_args!("{name}: {remark}"));
-    }
     let cut = capture.counts().truncated_records;
     if cut > 0 {
         let cut = count_of(cut, "record");

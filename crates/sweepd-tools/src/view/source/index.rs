@@ -61,9 +61,7 @@ pub(super) fn make(
                 Step::More => {}
                 Step::End => {
                     is_complete = true;
-                    if let Some(remark) = reader.remark() {
-                        complain("warning", remark);
-                    }
+                    reader.warn_of_times();
                     if found.is_empty() && reader.sensors().next().is_some() {
                         complain("warning", NO_TURN);
                     }

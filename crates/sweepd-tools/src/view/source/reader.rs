@@ -9,6 +9,7 @@ use std::sync::Arc;
 use super::simulation::Simulation;
 use sweepd::admission::Sender;
 use sweepd::cli::sections::Sections;
+use sweepd::cli::warn_of_times;
 use sweepd::cure::{Dialect, explain};
 use sweepd::input::{Capture, CaptureError, Placed};
 use sweepd::streams::{SteadyTime, Stream, Streams};
@@ -123,11 +124,10 @@ impl Reader {
         self.sections.missing(self.streams.sensors.senders())
     }
 
-    /// What there is to know of the times of a capture.
-    pub(super) fn remark(&self) -> Option<&'static str> {
-        match &self.datagrams {
-            Datagrams::Capture(capture) => capture.remark(),
-            Datagrams::Simulation(..) => None,
+    /// Warns of the times of a capture that are none.
+    pub(super) fn warn_of_times(&self) {
+        if let Datagrams::Capture(capture) = &self.datagrams {
+            warn_of_times(capture);
         }
     }
 
