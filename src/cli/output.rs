@@ -2,7 +2,7 @@
 //! files.
 
 use std::fs;
-use std::io::{self, BufWriter, IsTerminal, Stdout, Write};
+use std::io::{self, BufWriter, Stdout, Write};
 use std::path::{Path, PathBuf};
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
@@ -537,9 +537,10 @@ impl Outputs {
     }
 }
 
-/// Says what was written, as [`Outputs::finish`] gives it, to a person who looks on.
+/// Says what was written, as [`Outputs::finish`] gives it, where standard output is for something
+/// else.
 pub fn tell_written(written: Option<String>) {
-    if let Some(written) = written.filter(|_| io::stderr().is_terminal()) {
+    if let Some(written) = written {
         complain("note", format_args!("written: {written}"));
     }
 }

@@ -132,6 +132,11 @@ fn less_than_a_turn_names_the_option_that_gives_it() {
         said.ends_with(&format!("\nwritten: 1 sweep to {places}\n")),
         "{said}"
     );
+    // Where standard output is for lines, people are told on the other one.
+    let lines = ["--json", "--partial", "--force"];
+    let ran = replay(&capture, &[&options[..], &lines].concat());
+    let told = format!("note: written: 1 sweep to {places}\n");
+    assert_eq!((ran.code, ran.stderr), (0, told));
 }
 
 /// The number in a header is the one number: of files, of lines, of objects, and whether or not

@@ -281,7 +281,14 @@ fn ctrl_c_ends_it_well() {
             "no histograms"
         );
         let watched = Ran::of(output(watch));
-        assert_eq!((watched.code, watched.stderr.as_str()), (0, ""), "{signal}");
+        let told = format!("to {}\n", segments.display());
+        assert!(
+            watched.code == 0
+                && watched.stderr.starts_with("note: written: ")
+                && watched.stderr.ends_with(&told),
+            "{signal}: {}",
+            watched.stderr
+        );
         let segments = std::fs::read_to_string(segments).unwrap();
         assert!(
             segments.lines().count() > 10 && segments.ends_with('\n'),

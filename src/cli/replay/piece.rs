@@ -201,7 +201,10 @@ impl Piece {
         self.out.finish()?;
         let data = count_of(self.data, "data packet");
         let position = count_of(self.position, "position packet");
-        let path = self.path.display();
-        Ok(Some(format!("{data}, {position} to {path}")))
+        let place = match is_stdout(&self.path) {
+            true => "standard output".into(),
+            false => self.path.display().to_string(),
+        };
+        Ok(Some(format!("{data}, {position} to {place}")))
     }
 }
