@@ -477,7 +477,7 @@ fn record_times_that_are_none_give_way_to_the_clock_of_the_sensor() {
     const START_US: u64 = 1_700_000_000_400_000;
     let right = |number: u64| START_US + number * 1000;
     let whole = |us: u64| us / 1_000_000 * 1_000_000;
-    let cases: [(&str, u64, RecordUs<'_>); 8] = [
+    let cases: [(&str, u64, RecordUs<'_>); 9] = [
         ("never set", 0, &|_| 0),
         ("stand", START_US, &|_| START_US),
         ("whole seconds", whole(START_US), &|n| whole(right(n))),
@@ -485,6 +485,9 @@ fn record_times_that_are_none_give_way_to_the_clock_of_the_sensor() {
         ("ticks of a message", START_US, &|n| right(n / 100 * 100)),
         ("are set back", START_US, &|n| {
             right(n) - if n < 450 { 0 } else { 5_000_000 }
+        }),
+        ("are set back by days", START_US, &|n| {
+            right(n) - if n < 450 { 0 } else { 300_005_000_000 }
         }),
         ("lose their seconds", START_US, &|n| {
             whole(START_US) + right(n) % 1_000_000
@@ -509,7 +512,7 @@ fn record_times_that_are_none_give_way_to_the_clock_of_the_sensor() {
 fn record_times_that_go_on_stay() {
     const START_US: u64 = 1_700_000_000_400_000;
     let right = |number: u64| START_US + number * 1000;
-    let cases: [(&str, RecordUs<'_>); 7] = [
+    let cases: [(&str, RecordUs<'_>); 9] = [
         ("burst", &|n| right(n.max(30))),
         ("ticks of Windows", &|n| right(n) / 15_600 * 15_600),
         ("late ones", &|n| right(n ^ 1)),
@@ -522,10 +525,18 @@ fn record_times_that_go_on_stay() {
         ("old", &|n| right(n) - START_US + 5),
         // Two recordings are joined in the wrong order.
         ("joined", &|n| right(n) + u64::from(n < 450) * 700_000),
+        // So are files of an hour each, or of two sensors that were just switched on.
+        ("joined by the hour", &|n| {
+            right(n) + u64::from(n < 450) * 2 * 3_600_000_000
+        }),
+        ("joined after a pause", &|n| {
+            right(n) + u64::from(n < 450) * 5_000_000_000
+        }),
     ];
     for (name, record_us) in cases {
         let sensor_us = |n| match name {
             "joined" => record_us(n),
+            "joined after a pause" => n * 1000 + u64::from(n >= 450) * 3_000_000,
             _ => n * 1000,
         };
         let (times, remark) = times_of((0..900).map(|n| (sensor_us(n), record_us(n))));

@@ -2,8 +2,6 @@
 //! alone, or lie before 1990, as converters, simulated clocks and machines without a clock write
 //! them. The clock of the sensor tells, and gives the time from one packet to the next.
 
-use std::ops::RangeInclusive;
-
 use sweepd_core::sensor::detect::since;
 use sweepd_core::wire::data::DATA_PACKET_LEN;
 
@@ -15,12 +13,14 @@ pub(crate) const FIRST_NS: i64 = 631_152_000 * SECOND_NS;
 pub(super) const JUDGED_AFTER_US: i64 = 40_000;
 /// A longer step from packet to packet is a pause, which says nothing about times.
 const LONGEST_STEP_US: i64 = 20_000;
-/// A time that is so much earlier than the one before was set back; one that is earlier still is that
-/// of another recording.
-const SET_BACK_NS: RangeInclusive<i64> = SECOND_NS / 2..=1800 * SECOND_NS;
+/// A time that is so much earlier than the one before was set back, or is that of another recording.
+const BACK_NS: i64 = SECOND_NS / 2;
+const HOUR_NS: i64 = 3600 * SECOND_NS;
 /// How much earlier a packet may be that comes late.
 const LATE_US: i64 = 100_000;
 /// With a longer step the clock of the sensor was set, or another recording begins.
+const LONGEST_US: i64 = 60_000_000;
+
 /// What people should know of times that are none, and of what stands for them.
 macro_rules! none {
     ($times:literal, $instead:literal) => {
@@ -40,8 +40,6 @@ pub(super) const RESTAMPED: &str = none!(
     "the times at which the bag recorded the messages are taken where they go on, with the sensor's clock between them"
 );
 pub(super) const BARE: &str = "bare packets have no times: the sensor's clock gives them, as if its hour were the first of 1970";
-
-const LONGEST_US: i64 = 60_000_000;
 
 /// The stamp of the sensor in a data packet, microseconds of the hour.
 pub(super) fn sensor_us(payload: &[u8]) -> Option<u32> {
@@ -120,12 +118,29 @@ impl Judge {
         }
     }
 
+    fn is_back(&self, time_ns: i64) -> bool {
+        self.clock.time_ns.saturating_sub(time_ns) >= BACK_NS
+    }
+
+    /// Whether this is the first packet of an earlier recording, joined behind the one before: the
+    /// sensor paused, or its stamps, which count within the hour, go back by the same time.
+    fn is_another(&self, time_ns: i64, step_us: i64, stamp_us: u32) -> bool {
+        if !self.is_back(time_ns) {
+            return false;
+        }
+        let off_ns = self.clock.at(stamp_us).saturating_sub(time_ns);
+        let by_hours_ns = off_ns.saturating_add(BACK_NS) % HOUR_NS - BACK_NS;
+        let is_by_hours = off_ns > HOUR_NS / 2 && by_hours_ns < BACK_NS;
+        step_us > LONGEST_STEP_US || is_by_hours
+    }
+
     /// Takes the next packet.
     pub(super) fn add(&mut self, time_ns: i64, stamp_us: u32) -> Verdict {
         let step_us = since(self.last.stamp_us, stamp_us);
         let next = SensorClock::new(time_ns, stamp_us);
         let before = std::mem::replace(&mut self.last, next);
-        if !(-LATE_US..=LONGEST_US).contains(&step_us) {
+        let is_next = (-LATE_US..=LONGEST_US).contains(&step_us);
+        if !is_next || self.is_another(time_ns, step_us, stamp_us) {
             self.clock = next;
             (self.stuck_us, self.early) = (0, 0);
             return Verdict::Good;
@@ -149,8 +164,7 @@ impl Judge {
         } else {
             self.stuck_us += passed_us;
         }
-        let back_ns = self.clock.time_ns.saturating_sub(time_ns);
-        let is_early = passed_us == step_us && SET_BACK_NS.contains(&back_ns);
+        let is_early = passed_us == step_us && self.is_back(time_ns);
         self.early = if is_early { self.early + 1 } else { 0 };
         if self.early >= 2 || self.stuck_us >= JUDGED_AFTER_US {
             Verdict::None
