@@ -16,7 +16,7 @@ use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
 use mcap::records::MessageHeader as RecordHeader;
-use mcap::write::NoSeek;
+use mcap::write::{NoSeek, PrivateRecordOptions};
 use mcap::{Compression, McapError, WriteOptions};
 
 use self::bag::{BagFolder, Contents, TopicContents};
@@ -33,6 +33,9 @@ use sweepd_messages::{Cloud, MessageHeader, Stamp, markers, names};
 pub(crate) const ENDINGS: &[&str] = &[".mcap"];
 /// The program, as the header of a file names it.
 pub(crate) const LIBRARY: &str = "sweepd";
+/// Opcode of a record of our own, before each cloud whose frame does not name its sensor: the name of
+/// the sensor in its topics. Other readers pass over it.
+pub(crate) const SENSOR: u8 = 0x80;
 /// The frame of the robot, in which a sensor sits.
 const ROBOT_FRAME: &str = "base_link";
 
@@ -152,6 +155,8 @@ pub struct SweepMessages {
     mount: Option<Transform>,
     points: Vec<u8>,
     markers: Vec<u8>,
+    /// Whether their frame names the sensor.
+    is_named: bool,
 }
 
 impl SweepMessages {
@@ -180,6 +185,7 @@ impl SweepMessages {
             mount: Pose::of_mount(sweep.header).is_given().then_some(mount),
             points,
             markers: boxes,
+            is_named: names::token(frame_id) == sensor,
             sensor,
         }
     }
@@ -255,6 +261,11 @@ impl<W: Write> McapWriter<W> {
         let Some(channels) = self.sensors.get_mut(&messages.sensor) else {
             return Ok(());
         };
+        if !messages.is_named {
+            let name = messages.sensor.as_bytes();
+            let options = PrivateRecordOptions::IncludeInChunks.into();
+            self.writer.write_private_record(SENSOR, name, options)?;
+        }
         let time_ns = messages.time_ns;
         let (first_ns, last_ns) = self.times_ns.unwrap_or((time_ns, time_ns));
         self.times_ns = Some((first_ns.min(time_ns), last_ns.max(time_ns)));

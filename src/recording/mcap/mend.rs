@@ -13,7 +13,7 @@ use mcap::McapError;
 use mcap::records::MessageHeader as RecordHeader;
 use mcap::write::NoSeek;
 
-use crate::export::mcap::{LIBRARY, POINTS, TOPICS, io_error, options};
+use crate::export::mcap::{LIBRARY, POINTS, SENSOR, TOPICS, io_error, options};
 use crate::files::parts::{self, Recovery};
 use crate::input::bag::mcap::{
     CHANNEL, CHUNK, ChannelRecord, ChunkHeader, DATA_END, FOOTER, HEADER, MAGIC, MAX_LEN, MESSAGE,
@@ -474,17 +474,18 @@ impl<W: Write> MendedFile<W> {
     }
 
     /// Adds the channels that a recording has, where the chunk that described them is damaged: the
-    /// clouds name the sensor.
+    /// clouds name the sensor, or a record of its own does.
     fn add_lost_channels(&mut self, chunk: &[u8]) -> io::Result<()> {
         let mut rest = chunk;
         while let Some((opcode, body, after)) = split_record(rest) {
             rest = after;
-            let message = match opcode {
-                MESSAGE => split_message(body),
+            let sensor = match opcode {
+                SENSOR => std::str::from_utf8(body).ok().map(names::token),
+                MESSAGE => split_message(body).and_then(|(header, data)| sensor_of(&header, data)),
                 CHANNEL => return Ok(()),
                 _ => None,
             };
-            let Some(sensor) = message.and_then(|(header, data)| sensor_of(&header, data)) else {
+            let Some(sensor) = sensor else {
                 continue;
             };
             for topic in TOPICS {

@@ -88,13 +88,17 @@ struct Recording {
 impl Recording {
     fn small() -> Self {
         let mut messages = Vec::new();
+        let form = MessageForm {
+            frame_id: Some("lidar_top".to_owned()),
+            ..MessageForm::default()
+        };
         for number in 0..8 {
             let mut scene = Scene::street(16, 100, false);
             scene.fill(|sweep| {
                 sweep.header.time_ns += number * 100_000_000;
                 sweep.header.set_name("roof");
             });
-            messages.push(SweepMessages::of(&scene.sweep(), &MessageForm::default()));
+            messages.push(SweepMessages::of(&scene.sweep(), &form));
         }
         let bytes = file(&messages);
         let mut chunks = Vec::new();
