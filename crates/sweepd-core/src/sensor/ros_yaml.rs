@@ -141,13 +141,14 @@ fn parse_with(
 ///
 /// Where a beam has no two-point or intensity correction, the keys hold neutral values.
 pub fn emit(calibration: &Calibration) -> String {
-    let mut text = format!("num_lasers: {}\n", calibration.beams().len());
-    let _ = writeln!(
-        text,
-        "distance_resolution: {}\nlasers:",
-        calibration.distance_unit_m()
+    let (beams, unit_m) = (calibration.beams(), calibration.distance_unit_m());
+    let mut text = format!(
+        "{}: {}\n{}: {unit_m}\nlasers:\n",
+        FORMAT.count,
+        beams.len(),
+        FORMAT.distance_unit
     );
-    for beam in calibration.beams() {
+    for beam in beams {
         let [near_x_m, near_y_m] = beam.near_distance_offsets_m();
         let intensity = beam.intensity.unwrap_or(Intensity::NEUTRAL);
         // The shortest decimals that read back as the same number.
