@@ -183,6 +183,7 @@ fuzz! {
     bag: 2000 rounds, 32 MiB;
     frames: 2000 rounds, 8 MiB;
     frame: 2000 rounds, 8 MiB;
+    mender: 2000 rounds, 32 MiB;
     db_xml: 500 rounds, 8 MiB;
     ros_yaml: 500 rounds, 8 MiB;
     config: 2000 rounds, 8 MiB;

@@ -3,7 +3,8 @@
 use std::io::Write;
 use std::path::Path;
 
-use sweepd::buffers::{Buffers, HeapBuffers};
+use sweepd::buffers::{Buffers, HeapBuffer, HeapBuffers};
+use sweepd::export::mcap::{McapWriter, MessageForm, SweepMessages};
 use sweepd::input::db3::{End, Frame};
 use sweepd::input::write::Addressed;
 use sweepd::input::{Capture, PcapWriter};
@@ -13,6 +14,7 @@ use sweepd::sweep::{Shape, SweepMut};
 use sweepd::wire::data::{DATA_PACKET_LEN, DataPacket};
 use sweepd::wire::position::POSITION_PACKET_LEN;
 use sweepd_lab::simulate::unit::unit;
+use sweepd_messages::{Cloud, MessageHeader, Stamp};
 
 use crate::common::bags::{self, mcap, ros1};
 use sweepd_lab::testkit::scan;
@@ -33,6 +35,7 @@ pub fn of(name: &str, data: Option<&Path>) -> Inputs {
         "bag" => bag_files(),
         "frames" => frames_of_databases(),
         "frame" => frames(),
+        "mender" => recordings(),
         "db_xml" => [vec![db_xml()], files(data, "calib", &["xml"], 128 << 10)].concat(),
         "ros_yaml" => yamls(data),
         "config" => configs(),
@@ -228,7 +231,7 @@ fn capture_files(data: Option<&Path>) -> Inputs {
 fn data_packets() -> Inputs {
     let packet = |number: u32| DataPacket::new(number * 20_000, 0x37, 0x22).emit().to_vec();
     let mut packets: Inputs = (0..4).map(packet).collect();
-    packets.insert(2, vec![0; POSITION_PACKET_LEN]);
+    packets.insert(2, positions(None)[0].clone());
     packets
 }
 
@@ -634,8 +637,74 @@ fn pipelines() -> Inputs {
         .collect()
 }
 
+/// A recording of two sweeps: whole, cut, without the chunk that names its topics; and records of a
+/// chunk.
+fn recordings() -> Inputs {
+    let shape = small_shape(false);
+    let mut buffer = small_sweep(&shape);
+    let sweep = SweepMut::open(&mut buffer.as_mut()[..shape.total_bytes()]).expect("a sweep");
+    let messages = SweepMessages::of(&sweep.as_ref(), &MessageForm::default());
+    let mut writer = McapWriter::new(Vec::new()).expect("memory");
+    for _ in 0..2 {
+        writer.write(&messages).expect("memory");
+        writer.flush().expect("memory");
+    }
+    let whole = writer.finish().expect("memory");
+    let cut = whole[..whole.len() / 2].to_vec();
+    let mut damaged = whole.clone();
+    damaged[200] ^= 1;
+    let records = [
+        mcap::schema(1, scan::SCAN),
+        mcap::channel(2, 1, "/left", "cdr"),
+        mcap::message(2, &scan::cdr(&[(5, 0xFF)], false)),
+    ];
+    let header = MessageHeader {
+        frame_id: "left",
+        stamp: Stamp::First,
+    };
+    let mut cloud = Vec::new();
+    Cloud::default().encode(&sweep.as_ref(), &header, &mut cloud);
+    let message = mcap::message(2, &cloud);
+    vec![
+        whole,
+        cut,
+        damaged,
+        [&[0][..], &records.concat()].concat(),
+        [&[0][..], &message].concat(),
+    ]
+}
+
+fn small_shape(dual: bool) -> Shape {
+    Shape {
+        rows: 2,
+        columns_capacity: 6,
+        dual,
+        segments_capacity: 2,
+    }
+}
+
+/// A sweep of the first bytes of a buffer.
+fn small_sweep(shape: &Shape) -> HeapBuffer {
+    let mut buffer = HeapBuffers::default().take(shape.total_bytes());
+    let sweep = SweepMut::create(&mut buffer.as_mut()[..shape.total_bytes()], shape);
+    let sweep = sweep.expect("room for a sweep");
+    (
+        sweep.header.columns,
+        sweep.header.margin_columns,
+        sweep.header.segments,
+    ) = (4, 1, 1);
+    sweep.range.fill(2.5);
+    sweep.columns.fill(Column::measured(9, 4, 1.5, 60.0, 11));
+    let beams = Model::Vlp16.calibration().expect("its table").beams();
+    sweep
+        .beams
+        .iter_mut()
+        .zip(beams)
+        .for_each(|(row, beam)| *row = beam.row(2304));
+    buffer
+}
+
 fn sweeps() -> Inputs {
-    let mut buffers = HeapBuffers::default();
     let mut seeds: Inputs = vec![
         vec![1, 3, 4, 5, 2, 0, 0x3F, 0x80, 0x3F],
         vec![
@@ -643,29 +712,9 @@ fn sweeps() -> Inputs {
         ],
     ];
     for dual in [false, true] {
-        let shape = Shape {
-            rows: 2,
-            columns_capacity: 6,
-            dual,
-            segments_capacity: 2,
-        };
-        let mut buffer = buffers.take(shape.total_bytes());
-        let bytes = &mut buffer.as_mut()[..shape.total_bytes()];
-        let sweep = SweepMut::create(bytes, &shape).expect("room for a sweep");
-        (
-            sweep.header.columns,
-            sweep.header.margin_columns,
-            sweep.header.segments,
-        ) = (4, 1, 1);
-        sweep.range.fill(2.5);
-        sweep.columns.fill(Column::measured(9, 4, 1.5, 60.0, 11));
-        let beams = Model::Vlp16.calibration().expect("its table").beams();
-        sweep
-            .beams
-            .iter_mut()
-            .zip(beams)
-            .for_each(|(row, beam)| *row = beam.row(2304));
-        seeds.push([&[0], &*bytes].concat());
+        let shape = small_shape(dual);
+        let buffer = small_sweep(&shape);
+        seeds.push([&[0], &buffer.as_ref()[..shape.total_bytes()]].concat());
     }
     seeds
 }

@@ -10,6 +10,7 @@ pub mod captures;
 pub mod clouds;
 pub mod packets;
 pub mod pipeline;
+pub mod recordings;
 pub mod sweep;
 pub mod texts;
 
@@ -17,7 +18,7 @@ pub mod texts;
 pub type Run = fn(&[u8]);
 
 /// All targets by name.
-pub const ALL: [(&str, Run); 17] = [
+pub const ALL: [(&str, Run); 18] = [
     ("data_packet", packets::data_packet),
     ("position_packet", packets::position_packet),
     ("status_stream", packets::status_stream),
@@ -25,6 +26,7 @@ pub const ALL: [(&str, Run); 17] = [
     ("bag", captures::capture),
     ("frames", captures::frames),
     ("frame", captures::frame),
+    ("mender", recordings::mender),
     ("db_xml", texts::db_xml),
     ("ros_yaml", texts::ros_yaml),
     ("config", texts::config),

@@ -15,13 +15,7 @@ const SEED: u64 = 1;
 fn a_database_with_wrong_bytes_is_read_or_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("seed.db3");
-    let topics = [("/left", SCAN), ("/chatter", "std_msgs/msg/String")];
-    let messages = [
-        (0, cdr(&[(5, 0xFF); 8], false)),
-        (1, vec![1; 6000]),
-        (0, cdr(&[(6, 0xFF); 2], true)),
-    ];
-    database(&path, &topics, &messages);
+    write_seed(&path);
     let seed = fs::read(&path).unwrap();
     let mut rng = Rng::with_seed(SEED);
     let mut whole = 0;
@@ -43,6 +37,29 @@ fn a_database_with_wrong_bytes_is_read_or_refused() {
     }
     // Many a wrong byte is in a part that nobody reads; not in all.
     assert!((1..ROUNDS / 2).contains(&whole), "{whole} of {ROUNDS}");
+}
+
+fn write_seed(path: &Path) {
+    let topics = [("/left", SCAN), ("/chatter", "std_msgs/msg/String")];
+    let messages = [
+        (0, cdr(&[(5, 0xFF); 8], false)),
+        (1, vec![1; 6000]),
+        (0, cdr(&[(6, 0xFF); 2], true)),
+    ];
+    database(path, &topics, &messages);
+}
+
+/// Not a test: writes the seed to the folder `SWEEPD_FUZZ_CORPUS`, for the coverage-guided run to
+/// begin with.
+#[test]
+#[ignore = "writes a file; tests/fuzz/run calls it"]
+fn write_seeds() {
+    let folder = std::env::var_os("SWEEPD_FUZZ_CORPUS").expect("SWEEPD_FUZZ_CORPUS, a folder");
+    let folder = Path::new(&folder).join("database");
+    fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("seed");
+    let _ = fs::remove_file(&path);
+    write_seed(&path);
 }
 
 /// The number of packets, or the error.
