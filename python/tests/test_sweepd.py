@@ -77,6 +77,10 @@ class Replayed(unittest.TestCase):
         self.assertEqual([sweep.sequence for sweep in sweeps], list(range(len(said))))
         self.assertEqual(sweeps[1].sensor, "192.168.1.201:2368")
         self.assertEqual((sweeps[1].name, sweeps[1].header["model"]), ("", 1))
+        # Less than a turn is an error that names the option; with it, the part is given.
+        with self.assertRaisesRegex(sweepd.SweepdError, "no whole turn.*--partial"):
+            next(sweepd.replay(LOSSES, end=0.05))
+        self.assertEqual(len(list(sweepd.replay(LOSSES, end=0.05, partial=True))), 1)
         # Half of it, by a loop that ends early, and one whose iterator is dropped.
         for sweep in sweepd.replay(DUAL):
             first = sweep

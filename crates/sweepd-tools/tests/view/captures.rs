@@ -265,3 +265,20 @@ fn a_broken_capture_says_so_and_shows_what_came_before() {
         &SweepRef::open(expected[0].as_ref()).unwrap(),
     );
 }
+
+#[test]
+fn a_capture_of_less_than_a_turn_names_what_gives_the_part() {
+    let whole = std::fs::read(fixture("street_vlp16_losses.pcap")).unwrap();
+    // The file header, and twenty records.
+    let mut end = 24;
+    for _ in 0..20 {
+        let len = u32::from_le_bytes(*whole[end + 8..].first_chunk().unwrap());
+        end += 16 + len as usize;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("short.pcap");
+    std::fs::write(&path, &whole[..end]).unwrap();
+    let view = View::start(&[path.to_str().unwrap()]);
+    let state = view.page().words("there is no whole turn in it");
+    assert!(state["words"].as_str().unwrap().contains("--partial"));
+}
