@@ -8,7 +8,7 @@ use sweepd_core::sweep::{Frame, Return, SweepRef};
 /// padding.
 pub const POINT_BYTES: usize = 26;
 
-/// Writes a point per return, in the order of [`SweepRef::returns`].
+/// Writes a point per return, in the order in which they were measured: `time` never steps back.
 ///
 /// `intensity` is the calibrated reflectivity. `ring` counts from the lowest beam up, as ROS
 /// drivers do: it is `rows - 1 - row`. `label` is 0 none, 1 ground, 2.. segment. `time` is when the
@@ -19,7 +19,7 @@ pub const POINT_BYTES: usize = 26;
 /// Those of `out`.
 pub fn write_pcd(sweep: SweepRef<'_>, frame: Frame, out: &mut impl Write) -> io::Result<()> {
     let mut points = Vec::with_capacity(sweep.range.len() * POINT_BYTES);
-    for found in sweep.points(frame) {
+    for found in sweep.points_by_time(frame) {
         points.extend_from_slice(&point(&found, &sweep));
     }
     let count = points.len() / POINT_BYTES;

@@ -24,6 +24,7 @@ mod objects;
 mod obstacles;
 mod pains;
 mod paper;
+mod point_order;
 mod promises;
 mod removal;
 mod segment;

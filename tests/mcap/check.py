@@ -61,6 +61,9 @@ def check_points(cloud, lines, rows):
     assert (cloud.height, cloud.width, cloud.point_step, cloud.row_step) == (1, len(lines), 26, 26 * len(lines))
     assert cloud.is_dense and not cloud.is_bigendian
     points = np.frombuffer(bytes(cloud.data), POINT)
+    # As they were measured; of those at once, the higher row first.
+    lines = sorted(lines, key=lambda line: (int(line["time_ns"]), int(line["row"])))
+    assert (np.diff(points["time"]) >= 0).all()
     table = {name: np.array([line[name] for line in lines]) for name in ("x_m", "y_m", "z_m", "reflectivity", "row", "label", "time_ns")}
     for axis in "xyz":
         off = np.abs(points[axis] - table[f"{axis}_m"].astype(float))

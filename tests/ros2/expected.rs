@@ -193,8 +193,11 @@ impl Expected {
         if points.len() != count || !rest.is_empty() {
             return Err(format!("{} bytes of {count} points", said.data.len()));
         }
-        for (index, (bytes, found)) in points.iter().zip(sweep.returns()).enumerate() {
-            let expected = Point::of(&sweep, &found);
+        let mut returns: Vec<Return> = sweep.returns().collect();
+        // As they were measured; of those at once, the higher row first.
+        returns.sort_by_key(|one| (one.time_ns, one.row));
+        for (index, (bytes, found)) in points.iter().zip(&returns).enumerate() {
+            let expected = Point::of(&sweep, found);
             if !expected.is(bytes) {
                 return Err(format!("point {index} is {bytes:?}, not {expected:?}"));
             }

@@ -11,8 +11,9 @@
 //! The first six are ros-drivers' XYZIRT byte for byte, so that what reads that reads this.
 //! [`Layout::Autoware`] is Autoware's PointXYZIRCAEDT.
 //!
-//! A cloud is a list (height 1) of all returns without holes, `is_dense` true, column after column,
-//! as [`SweepRef::returns`] has them; both returns of a dual pixel. An organized cloud is the image:
+//! A cloud is a list (height 1) of all returns without holes, `is_dense` true, in the order in which
+//! they were measured: times never step back, and the last point is the newest. Both returns of a
+//! dual pixel are in it. An organized cloud is the image:
 //! height is the rows, the top one first, width the columns from left to right as
 //! [`crate::image`] has them; a pixel without a return is NaN, `is_dense` is false. There a dual
 //! pixel has its segmented return only.
@@ -321,23 +322,21 @@ impl PointWriter<'_> {
     /// Writes the list and gives its bytes.
     fn list(&self, items: &mut [u8]) -> usize {
         let mut at = 0;
-        for column in 0..self.sweep.columns.len() {
-            for row in 0..self.sweep.rows() {
-                let both = self.returns(column * self.sweep.rows() + row);
-                let [first, second] =
-                    both.map(|stored| stored.filter(|stored| self.cloud.points.has(stored.label)));
-                if first.is_none() && second.is_none() {
-                    continue;
-                }
-                let shot = self.shots.of_pixel(row, column);
-                if let Some(first) = first {
-                    self.point(&shot, first, both[1], point_at(items, at));
-                    at += self.step;
-                }
-                if let Some(second) = second {
-                    self.point(&shot, second, both[0], point_at(items, at));
-                    at += self.step;
-                }
+        for pixel in self.sweep.pixels_by_time() {
+            let both = self.returns(pixel.column * self.sweep.rows() + pixel.row);
+            let [first, second] =
+                both.map(|stored| stored.filter(|stored| self.cloud.points.has(stored.label)));
+            if first.is_none() && second.is_none() {
+                continue;
+            }
+            let shot = self.shots.of_firing(pixel.row, pixel.firing);
+            if let Some(first) = first {
+                self.point(&shot, first, both[1], point_at(items, at));
+                at += self.step;
+            }
+            if let Some(second) = second {
+                self.point(&shot, second, both[0], point_at(items, at));
+                at += self.step;
             }
         }
         at
@@ -353,7 +352,8 @@ impl PointWriter<'_> {
                 let place = point_at(items, (row * columns + left) * self.step);
                 match first.filter(|first| self.cloud.points.has(first.label)) {
                     Some(first) => {
-                        let shot = self.shots.of_pixel(row, column);
+                        let firing = self.sweep.fired_in(row, column);
+                        let shot = self.shots.of_firing(row, firing);
                         self.point(&shot, first, second, place);
                     }
                     None => {

@@ -65,11 +65,10 @@ impl<'a> Shots<'a> {
         }
     }
 
-    /// The shot of a pixel.
+    /// The shot of a row in a firing.
     #[inline]
-    pub fn of_pixel(&self, row: usize, column: usize) -> Shot<'_> {
+    pub fn of_firing(&self, row: usize, column: usize) -> Shot<'_> {
         let ray = &self.rays[row];
-        let column = self.sweep.fired_in(row, column);
         let firing = &self.sweep.columns[column];
         let turned_rad =
             f64::from(firing.azimuth_rate_rad_s) * f64::from(ray.time_offset_ns) * 1e-9;

@@ -7,6 +7,7 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 use super::corrected::Corrected;
 use super::layout::*;
+use super::order::PixelsByTime;
 use super::pose::{Frame, Pose};
 use super::sensor::{Model, Places, RECORDS, ReturnMode};
 
@@ -370,10 +371,32 @@ impl<'a> SweepRef<'a> {
         })
     }
 
-    /// The same with the points in a frame, by the mount in the header.
+    /// All pixels that can have a return, in the order in which their beams fired.
+    pub fn pixels_by_time(&self) -> PixelsByTime<'a> {
+        PixelsByTime::of(*self)
+    }
+
+    /// All returns with the points in a frame, by the mount in the header; in the order of
+    /// [`SweepRef::returns`].
     pub fn points(&self, frame: Frame) -> impl Iterator<Item = Return> + '_ {
+        self.in_frame(self.returns(), frame)
+    }
+
+    /// The same in the order in which the beams fired: times never step back. Of a dual pixel, the
+    /// segmented return is first.
+    pub fn points_by_time(&self, frame: Frame) -> impl Iterator<Item = Return> + '_ {
+        let pixels = self.pixels_by_time();
+        let pairs = pixels.flat_map(|one| self.pixel(one.row, one.column));
+        self.in_frame(pairs.flatten(), frame)
+    }
+
+    fn in_frame(
+        &self,
+        returns: impl Iterator<Item = Return>,
+        frame: Frame,
+    ) -> impl Iterator<Item = Return> {
         let pose = frame.pose(Pose::of_mount(self.header));
-        self.returns().map(move |mut one| {
+        returns.map(move |mut one| {
             if let Some(pose) = &pose {
                 one.point_m = pose.apply(one.point_m);
             }
@@ -389,7 +412,7 @@ impl<'a> SweepRef<'a> {
         segments.map(move |segment| segment.box_in(pose.as_ref()))
     }
 
-    /// The same with the points in any frame: `pose_at` gives the pose of the sensor in it at
+    /// All returns with the points in any frame: `pose_at` gives the pose of the sensor in it at
     /// the time of the return's own shot, nanoseconds since 1970 in the clock of
     /// [`Header::time_source`]. With the poses of a moving sensor, this deskews the sweep.
     ///
@@ -481,10 +504,16 @@ impl<'a> SweepRef<'a> {
 #[inline]
 pub fn shifted(column: usize, shift: i32, columns: usize, circular: bool) -> usize {
     let at = column as i64 + i64::from(shift);
+    turned_to(at, columns, circular).unwrap_or_else(|| at.clamp(0, columns as i64 - 1) as usize)
+}
+
+/// The column of this number in an image that goes on beyond its ends, if it is circular.
+#[inline]
+pub(crate) fn turned_to(at: i64, columns: usize, circular: bool) -> Option<usize> {
     match usize::try_from(at) {
-        Ok(at) if at < columns => at,
-        _ if circular => at.rem_euclid(columns as i64) as usize,
-        _ => at.clamp(0, columns as i64 - 1) as usize,
+        Ok(at) if at < columns => Some(at),
+        _ if circular => Some(at.rem_euclid(columns as i64) as usize),
+        _ => None,
     }
 }
 

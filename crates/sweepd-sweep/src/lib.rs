@@ -1,7 +1,7 @@
 //! A sweep as bytes, and the views over them: what the driver writes and every consumer reads.
 //!
 //! [`layout`] defines the bytes, which are those in shared memory; [`objects`] those of objects that
-//! are published while the head still turns. [`image`] has the views over them, [`corrected`] the
+//! are published while the head still turns. [`image`] has the views over them, [`order`] the order of their shots, [`corrected`] the
 //! conversion of distances to ranges and back, [`pose`] brings points into other frames, [`sensor`]
 //! has the models and return modes that a header names, [`eye`] the words for what a sensor no longer
 //! sees.
@@ -16,6 +16,7 @@ pub mod eye;
 pub mod image;
 pub mod layout;
 pub mod objects;
+pub mod order;
 pub mod pose;
 pub mod sensor;
 

@@ -49,7 +49,8 @@ impl Scene {
 fn scatter(sweep: &mut SweepMut<'_>, random: &mut fastrand::Rng) {
     sweep.header.flags = [0, flags::CIRCULAR, flags::REVERSED][random.usize(0..3)];
     for (index, column) in sweep.columns.iter_mut().enumerate() {
-        let time_ns = index as u32 * 55_296;
+        // Beams fire within a period; some firings overlap the next one, or are out of order.
+        let time_ns = index as u32 * 55_296 + random.u32(0..3) * 40_000;
         let (azimuth_rad, rate) = (random.f32() * 6.0, 126.0 * random.f32() - 63.0);
         *column = match random.u8(0..8) {
             0 => Column::missing(azimuth_rad, rate, time_ns),
@@ -79,6 +80,7 @@ fn scatter(sweep: &mut SweepMut<'_>, random: &mut fastrand::Rng) {
     for reflectivities in [&mut *sweep.reflectivity, &mut *sweep.reflectivity2] {
         reflectivities.fill_with(|| random.u8(..));
     }
+    clear_beyond_ends(sweep);
     let kinds = [ReturnKind::Strongest, ReturnKind::Last];
     sweep.kind.fill_with(|| kinds[random.usize(0..2)] as u8);
     sweep.header.segments = random.u32(0..=8);
@@ -86,5 +88,22 @@ fn scatter(sweep: &mut SweepMut<'_>, random: &mut fastrand::Rng) {
         segment.label = label;
         segment.min_m = [(); 3].map(|()| random.f32() * 100.0 - 50.0);
         segment.max_m = segment.min_m.map(|least| least + random.f32() * 4.0);
+    }
+}
+
+/// An image that is not circular has no return where its rows go beyond its ends.
+fn clear_beyond_ends(sweep: &mut SweepMut<'_>) {
+    let (rows, columns) = (sweep.beams.len(), sweep.columns.len() as i32);
+    if sweep.header.has(flags::CIRCULAR) {
+        return;
+    }
+    for index in 0..sweep.range.len() {
+        let firing = (index / rows) as i32 + sweep.beams[index % rows].shift;
+        if !(0..columns).contains(&firing) {
+            sweep.range[index] = 0.0;
+            if let Some(range_m) = sweep.range2.get_mut(index) {
+                *range_m = 0.0;
+            }
+        }
     }
 }
