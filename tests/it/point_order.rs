@@ -57,9 +57,10 @@ fn check(what: &str, sweep: &SweepRef<'_>) -> usize {
         let times = times_ns.iter().map(|&ns| (ns as f64 * 1e-9) as f32);
         times.collect::<Vec<f32>>()
     };
-    let kinds: [(Points, fn(u32) -> bool); 3] = [
+    let kinds: [(Points, fn(u32) -> bool); 4] = [
         (Points::All, |_| true),
         (Points::Ground, |label| label == 1),
+        (Points::Nonground, |label| label != 1),
         (Points::Objects, |label| label >= 2),
     ];
     for (points, is_in) in kinds {

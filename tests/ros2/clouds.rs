@@ -362,6 +362,7 @@ fn check_graph(graph: &Value) {
     let topics = [
         "points",
         "ground",
+        "nonground",
         "objects",
         "markers",
         "range_image",
@@ -400,7 +401,7 @@ fn check_graph(graph: &Value) {
 fn check_old_graph(graph: &Value) {
     assert_eq!(graph["nodes"], json!(["/sweepd"]));
     let writers = graph["writers"].as_array().unwrap();
-    assert_eq!(writers.len(), 14, "{writers:?}");
+    assert_eq!(writers.len(), 16, "{writers:?}");
     let participant = graph["participant"].as_str().unwrap();
     assert!(
         participant.ends_with("000001c10000000000000000"),

@@ -13,9 +13,10 @@ use super::world::{ROOF_MOUNT, World, vlp16};
 /// DDS domain of this test.
 const DDS_DOMAIN: u32 = 92;
 const POINTS: &str = "/sweepd/roof/points";
-const TOPICS: [&str; 6] = [
+const TOPICS: [&str; 7] = [
     "points",
     "ground",
+    "nonground",
     "objects",
     "markers",
     "range_image",

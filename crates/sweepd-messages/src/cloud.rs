@@ -47,6 +47,8 @@ pub enum Points {
     All,
     /// Those of the ground.
     Ground,
+    /// All others: those of segments, and those without a label.
+    Nonground,
     /// Those of segments.
     Objects,
 }
@@ -143,6 +145,7 @@ impl Points {
         match self {
             Self::All => true,
             Self::Ground => label == LABEL_GROUND,
+            Self::Nonground => label != LABEL_GROUND,
             Self::Objects => label >= LABEL_FIRST_SEGMENT,
         }
     }

@@ -12,6 +12,7 @@ use sweepd_client::service::{NAME_RULE, is_sensor_name};
 Topics of the sensor `roof`, each computed only while it has a subscriber:
   ~/roof/points       sensor_msgs/PointCloud2, x y z intensity ring time label
   ~/roof/ground       the same, ground alone
+  ~/roof/nonground    the same, all but ground
   ~/roof/objects      the same, segments alone
   ~/roof/markers      visualization_msgs/MarkerArray, a box a segment
   ~/roof/range_image  sensor_msgs/Image, 32FC1, metres

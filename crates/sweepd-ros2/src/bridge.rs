@@ -31,6 +31,8 @@ pub enum Topic {
     Points,
     /// Those of the ground.
     Ground,
+    /// All others.
+    Nonground,
     /// Those of segments.
     Objects,
     /// A box for each segment.
@@ -43,9 +45,10 @@ pub enum Topic {
 
 impl Topic {
     /// All, as they are numbered.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::Points,
         Self::Ground,
+        Self::Nonground,
         Self::Objects,
         Self::Markers,
         Self::RangeImage,
@@ -57,6 +60,7 @@ impl Topic {
         match self {
             Self::Points => "points",
             Self::Ground => "ground",
+            Self::Nonground => "nonground",
             Self::Objects => "objects",
             Self::Markers => "markers",
             Self::RangeImage => "range_image",
@@ -72,7 +76,7 @@ impl Topic {
     /// Its messages.
     pub fn message_type(self) -> &'static MessageType {
         match self {
-            Self::Points | Self::Ground | Self::Objects => &POINT_CLOUD,
+            Self::Points | Self::Ground | Self::Nonground | Self::Objects => &POINT_CLOUD,
             Self::Markers => &MARKER_ARRAY,
             Self::RangeImage | Self::LabelImage => &IMAGE,
         }
@@ -92,6 +96,7 @@ impl Topic {
         match self {
             Self::Points => cloud(Points::All).encode(sweep, &header, message),
             Self::Ground => cloud(Points::Ground).encode(sweep, &header, message),
+            Self::Nonground => cloud(Points::Nonground).encode(sweep, &header, message),
             Self::Objects => cloud(Points::Objects).encode(sweep, &header, message),
             Self::Markers => markers::encode(sweep, &header, message),
             Self::RangeImage => image::encode_ranges(sweep, &header, message),

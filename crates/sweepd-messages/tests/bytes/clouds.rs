@@ -18,6 +18,13 @@ const LAST: MessageHeader<'_> = MessageHeader {
     stamp: Stamp::Last,
 };
 
+const KINDS: [Points; 4] = [
+    Points::All,
+    Points::Ground,
+    Points::Nonground,
+    Points::Objects,
+];
+
 fn encode(cloud: Cloud, sweep: &SweepRef<'_>, header: &MessageHeader<'_>) -> Vec<u8> {
     let mut message = Vec::new();
     cloud.encode(sweep, header, &mut message);
@@ -181,7 +188,7 @@ fn clouds_of_any_sweep_hold_its_returns() {
             label: random.bool(),
         };
         let cloud = Cloud {
-            points: [Points::All, Points::Ground, Points::Objects][random.usize(0..3)],
+            points: KINDS[random.usize(0..KINDS.len())],
             layout: [Layout::Fields(fields), Layout::Autoware][random.usize(0..2)],
             organized: random.bool(),
         };
@@ -202,6 +209,7 @@ fn clouds_of_any_sweep_hold_its_returns() {
         let is_in = |found: &Return| match cloud.points {
             Points::All => true,
             Points::Ground => found.label == 1,
+            Points::Nonground => found.label != 1,
             Points::Objects => found.label >= 2,
         };
         if !cloud.organized {
