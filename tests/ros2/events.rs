@@ -24,14 +24,15 @@ const TOPICS: [&str; 7] = [
 ];
 
 /// The values of a sensor's status, when a peer said one.
-fn values<'a>(line: &'a Value, sensor: &str) -> Option<&'a Value> {
+pub fn values<'a>(line: &'a Value, sensor: &str) -> Option<&'a Value> {
     let statuses = line["diagnostics"].as_array()?;
     let name = format!("sweepd: {sensor}");
     let status = statuses.iter().find(|one| one["name"] == name)?;
     Some(&status["values"])
 }
 
-fn number(values: &Value, key: &str) -> u64 {
+/// A value that is a number.
+pub fn number(values: &Value, key: &str) -> u64 {
     values[key].as_str().unwrap().parse().unwrap()
 }
 

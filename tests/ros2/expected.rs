@@ -19,7 +19,7 @@ use super::peer::Said;
 /// Sweeps that are kept: peers are a few behind at most.
 const KEPT: usize = 100;
 /// Bytes of a point.
-const STEP: usize = 26;
+pub const STEP: usize = 26;
 /// Name, offset, datatype (7 float32, 4 uint16, 6 uint32) and count of each field.
 const FIELDS: [(&str, u32, u8, u32); 7] = [
     ("x", 0, 7, 1),

@@ -13,6 +13,7 @@ mod crowd;
 mod events;
 mod expected;
 mod measure;
+mod parts;
 mod peer;
 mod world;
 

@@ -89,8 +89,15 @@ impl World {
         Process::start(&mut command).unwrap()
     }
 
-    /// Starts `sweepd-ros2` on a DDS domain.
+    /// Starts `sweepd-ros2` on a DDS domain. It also publishes where a capture begins again: each
+    /// sweep that consumers get.
     pub fn bridge(&self, dds_domain: u32, more: &[&str]) -> Process {
+        let all = ["--ros-args", "-p", "only_complete:=false", "--"];
+        self.bridge_of_whole_turns(dds_domain, &[&all, more].concat())
+    }
+
+    /// The same without the sweeps that are no whole turns.
+    pub fn bridge_of_whole_turns(&self, dds_domain: u32, more: &[&str]) -> Process {
         let mut command = Command::new(bridge_program());
         on_domain(&mut command, dds_domain);
         command

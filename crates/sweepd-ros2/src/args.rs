@@ -34,7 +34,7 @@ pub struct Args {
     #[arg(value_name = "NAME", value_parser = sensor_name)]
     pub sensors: Vec<String>,
     /// Parameters: YAML in the form of ROS, with `sensors`, `root`, `health`, `base_frame`,
-    /// `frame_id`, `stamp`, `organized`, `layout`, `fields`
+    /// `frame_id`, `stamp`, `organized`, `layout`, `fields`, `only_complete`, `min_columns`
     #[arg(long, value_name = "FILE", visible_alias = "params-file")]
     pub parameters: Option<PathBuf>,
     /// Name of the node

@@ -11,6 +11,7 @@ use sweepd_messages::message_type::{IMAGE, MARKER_ARRAY, POINT_CLOUD};
 use sweepd_messages::{MessageHeader, MessageType, image, markers};
 use sweepd_ros2::Publisher;
 use sweepd_sweep::Model;
+use sweepd_sweep::layout::flags;
 use sweepd_sweep::{Header, SweepRef};
 
 use crate::log;
@@ -130,6 +131,10 @@ pub struct Seen {
 pub struct Tally {
     /// Sweeps.
     pub sweeps: u64,
+    /// Sweeps that were left out because they are not complete, or have too few columns.
+    pub incomplete_sweeps: u64,
+    /// Those since the last one that was not.
+    pub incomplete_in_a_row: u64,
     /// Sweeps that the bridge was too slow for.
     pub missed_sweeps: u64,
     /// Packets missing by the sensor's clock.
@@ -163,8 +168,14 @@ impl Seen {
 }
 
 impl Tally {
-    fn add(&mut self, header: &Header) {
+    fn add(&mut self, header: &Header, is_taken: bool) {
         self.sweeps += 1;
+        if is_taken {
+            self.incomplete_in_a_row = 0;
+        } else {
+            self.incomplete_sweeps += 1;
+            self.incomplete_in_a_row += 1;
+        }
         self.lost_packets += u64::from(header.lost_packets);
         self.dropped_datagrams += u64::from(header.dropped_datagrams);
         self.missing_columns += u64::from(header.missing_columns);
@@ -240,9 +251,15 @@ impl Bridge {
         if is_first {
             self.note_streaming(view.header);
         }
-        self.seen.with_tally(|tally| tally.add(view.header));
+        let is_taken = self.parameters.takes(view.header);
+        self.seen
+            .with_tally(|tally| tally.add(view.header, is_taken));
         if let Some(transforms) = transforms {
             transforms.see(&self.name, &self.parameters.frame_id, view.header);
+        }
+        if !is_taken {
+            self.note_left_out(view.header);
+            return Ok(());
         }
         let mut messages = Vec::new();
         for (topic, publisher) in Topic::ALL.into_iter().zip(&self.publishers) {
@@ -268,6 +285,21 @@ impl Bridge {
             model(header),
             header.sensor(),
             self.publishers[Topic::Points as usize].topic(),
+        ));
+    }
+
+    /// Tells of the first sweep that is left out; `/diagnostics` counts them all.
+    fn note_left_out(&self, header: &Header) {
+        if self.seen.tally().incomplete_sweeps > 1 {
+            return;
+        }
+        let what = match header.has(flags::PARTIAL) {
+            true => "is no whole turn (`only_complete`)",
+            false => "has too few measured columns (`min_columns`)",
+        };
+        log::info(format_args!(
+            "{}: sweep {} is left out: it {what}; /diagnostics counts such sweeps",
+            self.name, header.sequence
         ));
     }
 

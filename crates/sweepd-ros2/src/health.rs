@@ -25,6 +25,9 @@ const ANSWER_BYTES: usize = 1 << 20;
 /// Numbers of `/health` that are no counters, and what its words tell.
 const UNTOLD: [&str; 3] = ["port", "position_port", "losses"];
 
+/// Incomplete sweeps in a row that a run which ends and begins again has: its last and its first.
+const USUAL_INCOMPLETE: u64 = 2;
+
 /// The publisher of `/diagnostics`.
 pub struct Diagnostics {
     publisher: Publisher,
@@ -89,6 +92,7 @@ impl Diagnostics {
         }
         values.add("sweeps/s", format!("{rate:.1}"));
         values.add("sweeps", tally.sweeps);
+        values.add("incomplete sweeps", tally.incomplete_sweeps);
         values.add("missed sweeps", tally.missed_sweeps);
         values.add("lost packets", tally.lost_packets);
         values.add("dropped datagrams", tally.dropped_datagrams);
@@ -203,6 +207,13 @@ fn judge(tally: &Tally, before: &Tally, rate: f64, said: Option<&Value>) -> (Lev
     }
     if let Some((level, sentence)) = unseen {
         return (level, sentence);
+    }
+    let left_out = tally.incomplete_in_a_row;
+    if left_out > USUAL_INCOMPLETE {
+        let message = format!(
+            "nothing is published: the last {left_out} sweeps are no whole turns, or have too few columns"
+        );
+        return (Level::Warn, message);
     }
     let lost = tally.lost_packets.saturating_sub(before.lost_packets);
     let dropped = tally
@@ -386,6 +397,10 @@ mod tests {
             }
         };
         let (none, well) = (Tally::default(), seen(0, 0));
+        let in_parts = |incomplete_in_a_row| Tally {
+            incomplete_in_a_row,
+            ..seen(0, 0)
+        };
         let unreadable = Tally {
             trouble: Some("another user's".to_owned()),
             ..Tally::default()
@@ -413,6 +428,13 @@ mod tests {
                 None,
                 Level::Warn,
                 "3 packets lost and 0 datagrams dropped since the message before",
+            ),
+            (&in_parts(2), None, Level::Ok, "streaming, 10.0 sweeps/s"),
+            (
+                &in_parts(3),
+                Some(&streaming),
+                Level::Warn,
+                "nothing is published: the last 3 sweeps are no whole turns, or have too few columns",
             ),
             (&seen(0, 5), Some(&losing), Level::Stale, "no sweep for 5 s"),
             (&none, None, Level::Stale, "no sweep yet"),

@@ -20,6 +20,8 @@ use sweepd_client::service::{NAME_RULE, is_sensor_name};
 
 use sweepd_messages::{Fields, Layout, Stamp};
 use sweepd_ros2::args::Args;
+use sweepd_sweep::Header;
+use sweepd_sweep::layout::flags;
 
 use crate::names::NodeName;
 use crate::ros_args::{RosArgs, Source};
@@ -31,7 +33,15 @@ const SECTION: &str = "ros__parameters";
 /// Parameters of the node.
 const OF_NODE: [&str; 4] = ["sensors", "root", "health", "base_frame"];
 /// Parameters of a sensor; given for the node, they hold for all sensors.
-const OF_SENSOR: [&str; 5] = ["frame_id", "stamp", "organized", "layout", "fields"];
+const OF_SENSOR: [&str; 7] = [
+    "frame_id",
+    "stamp",
+    "organized",
+    "layout",
+    "fields",
+    "only_complete",
+    "min_columns",
+];
 
 /// What the node does.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -61,6 +71,10 @@ pub struct SensorParameters {
     pub organized: bool,
     /// What a point holds.
     pub layout: Layout,
+    /// Whether sweeps that are no whole turn are left out.
+    pub only_complete: bool,
+    /// Sweeps with fewer measured columns are left out.
+    pub min_columns: u32,
 }
 
 /// What a point holds, as it is written in a file.
@@ -79,6 +93,8 @@ struct Given {
     organized: Option<bool>,
     layout: Option<LayoutName>,
     fields: Option<Fields>,
+    only_complete: Option<bool>,
+    min_columns: Option<u32>,
 }
 
 /// Parameters that cannot be.
@@ -156,6 +172,8 @@ impl Parameters {
                 Some(LayoutName::Autoware) => Layout::Autoware,
                 Some(LayoutName::Xyzirt) | None => Layout::Fields(fields),
             },
+            only_complete: own.only_complete.or(all.only_complete).unwrap_or(true),
+            min_columns: own.min_columns.or(all.min_columns).unwrap_or(0),
         }
     }
 
@@ -278,6 +296,18 @@ impl Parameters {
     }
 }
 
+impl SensorParameters {
+    /// Whether a sweep with this header is published.
+    pub fn takes(&self, header: &Header) -> bool {
+        let is_complete = !header.has(flags::PARTIAL);
+        let not_measured = header
+            .missing_columns
+            .saturating_add(header.unfired_columns);
+        let measured = header.columns.saturating_sub(not_measured);
+        (is_complete || !self.only_complete) && measured >= self.min_columns
+    }
+}
+
 impl Given {
     /// Takes one of [`OF_SENSOR`].
     fn take(&mut self, name: &str, value: &Spanned<Tree>) -> Result<(), String> {
@@ -296,6 +326,8 @@ impl Given {
                 self.layout = Some(choice(value, &layouts)?);
             }
             "fields" => self.fields = Some(fields(value)?),
+            "only_complete" => self.only_complete = Some(switch(value)?),
+            "min_columns" => self.min_columns = Some(number(value)?),
             _ => unreachable!("{name} is none of {OF_SENSOR:?}"),
         }
         Ok(())
@@ -336,6 +368,12 @@ fn switch(value: &Spanned<Tree>) -> Result<bool, String> {
         "false" | "no" | "n" | "off" => Ok(false),
         other => Err(format!("expected true or false, not `{other}`")),
     }
+}
+
+fn number(value: &Spanned<Tree>) -> Result<u32, String> {
+    let text = text(value)?;
+    let number = text.parse();
+    number.map_err(|_| format!("expected a whole number from 0 on, not `{text}`"))
 }
 
 fn choice<T: Copy>(value: &Spanned<Tree>, choices: &[(&str, T)]) -> Result<T, String> {
@@ -507,6 +545,7 @@ impl<'de> Deserialize<'de> for Tree {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use sweepd_sweep::Shape;
 
     fn node() -> NodeName {
         NodeName::new("/robot", "sweepd")
@@ -530,6 +569,8 @@ mod tests {
             stamp: Stamp::First,
             organized: false,
             layout: Layout::Fields(Fields::ALL),
+            only_complete: true,
+            min_columns: 0,
         };
         assert_eq!(parameters.of("roof"), expected);
     }
@@ -576,6 +617,7 @@ mod tests {
       frame_id: lidar_top
       organized: true
       layout: autoware
+      min_columns: 1600
     front-left.stamp: first
 ";
         let parameters = parse(text).unwrap();
@@ -588,12 +630,42 @@ mod tests {
         let (roof, front) = (parameters.of("roof"), parameters.of("front-left"));
         assert_eq!((roof.stamp, front.stamp), (Stamp::Last, Stamp::First));
         assert_eq!((roof.organized, front.organized), (true, false));
+        assert_eq!((roof.min_columns, front.min_columns), (1600, 0));
         let layouts = (Layout::Autoware, Layout::Fields(Fields::NONE));
         assert_eq!((roof.layout, front.layout), layouts);
         assert_eq!(
             (&roof.frame_id[..], &front.frame_id[..]),
             ("lidar_top", "front-left")
         );
+    }
+
+    #[test]
+    fn sweeps_are_taken_by_their_turn_and_their_measured_columns() {
+        let mut header = Header::new(&Shape {
+            rows: 16,
+            columns_capacity: 100,
+            dual: false,
+            segments_capacity: 0,
+        });
+        (
+            header.columns,
+            header.missing_columns,
+            header.unfired_columns,
+        ) = (100, 20, 10);
+        for (parameters, whole, part) in [
+            ("stamp: first", true, false),
+            ("only_complete: false", true, true),
+            ("min_columns: 70", true, false),
+            ("min_columns: 71", false, false),
+            ("{only_complete: false, min_columns: 70}", true, true),
+        ] {
+            let parameters = parse(&format!("/**:\n  ros__parameters:\n    {parameters}\n"));
+            let roof = parameters.unwrap().of("roof");
+            for (bits, is_taken) in [(flags::CIRCULAR, whole), (flags::PARTIAL, part)] {
+                header.flags = bits;
+                assert_eq!(roof.takes(&header), is_taken, "{roof:?}");
+            }
+        }
     }
 
     #[test]
@@ -636,6 +708,11 @@ mod tests {
                 "a point has no field \"colour\": fields are x, y, z, intensity, ring, time and label",
             ),
             ("layout: xyz", 3, "expected xyzirt or autoware"),
+            (
+                "min_columns: -1",
+                3,
+                "expected a whole number from 0 on, not `-1`",
+            ),
             ("roof: {stamp: x}", 3, "expected first or last"),
             ("stamp: {", 3, "unclosed bracket"),
         ] {

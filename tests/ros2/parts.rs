@@ -1,0 +1,116 @@
+//! `ground` and `nonground` are the cloud; what is no whole turn is left out.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Instant;
+
+use serde_json::json;
+use sweepd::sweep::layout::flags;
+use sweepd_lab::testkit::PATIENCE;
+
+use super::alone;
+use super::events::{number, values};
+use super::expected::{Consumer, STEP};
+use super::peer::Peer;
+use super::world::{ROOF_MOUNT, World, vlp16};
+
+/// DDS domains of this test: one for each version of Fast DDS.
+const WITH_JAZZY: u32 = 95;
+const WITH_KILTED: u32 = 96;
+const TOPICS: [&str; 4] = ["points", "ground", "nonground", "objects"];
+/// Sweeps that a peer must have all clouds of. The capture begins again after 40.
+const SWEEPS: usize = 100;
+
+/// The points of a sweep, by topic.
+type Clouds = BTreeMap<String, Vec<u8>>;
+
+#[test]
+#[cfg_attr(
+    without_ros,
+    ignore = "no peers of ROS 2: SWEEPD_JAZZY, SWEEPD_KILTED, SWEEPD_ROS_PYTHON, libfastrtps-dev"
+)]
+fn parts_add_up_and_are_of_whole_turns() {
+    let _alone = alone();
+    let world = World::new(&[("roof", ROOF_MOUNT)]);
+    let vlp16 = vlp16();
+    let _daemon = world.daemon();
+    let consumer = Consumer::start(&world.domain(), "roof");
+    let health = world.health();
+    let health: Vec<&str> = health.iter().map(String::as_str).collect();
+    let _bridges =
+        [WITH_JAZZY, WITH_KILTED].map(|domain| world.bridge_of_whole_turns(domain, &health));
+    let wanted = json!({
+        "clouds": TOPICS.map(|topic| format!("/sweepd/roof/{topic}")),
+        "data": true,
+        "qualities": ["reliable"],
+        "diagnostics": true,
+    });
+    let peers = [("SWEEPD_JAZZY", WITH_JAZZY), ("SWEEPD_KILTED", WITH_KILTED)];
+    let peers = peers.map(|(variable, domain)| Peer::ros(variable, domain, &wanted).ready());
+    let _roof = world.feed("roof", vlp16, "1");
+    std::thread::scope(|scope| {
+        for peer in peers {
+            scope.spawn(|| listen(peer, &consumer));
+        }
+    });
+}
+
+/// Takes clouds until there are enough, and the bridge has said what it left out.
+fn listen(mut peer: Peer, consumer: &Consumer) {
+    let (mut sweeps, mut added_up) = (BTreeMap::<i64, Clouds>::new(), BTreeSet::new());
+    let (begun, mut left_out) = (Instant::now(), 0);
+    while added_up.len() < SWEEPS || left_out < 2 {
+        assert!(
+            begun.elapsed() < 4 * PATIENCE,
+            "{} sweeps, {left_out} left out",
+            added_up.len()
+        );
+        let Some(said) = peer.next(PATIENCE) else {
+            continue;
+        };
+        if let Some(values) = values(&said.line, "roof") {
+            left_out = number(values, "incomplete sweeps");
+            let known = number(values, "points computed") + left_out;
+            // A number is read while the others go on.
+            assert!(known <= number(values, "sweeps") + 1, "{values}");
+            continue;
+        }
+        let (Some(topic), Some(stamp_ns)) =
+            (said.line["topic"].as_str(), said.line["stamp_ns"].as_i64())
+        else {
+            continue;
+        };
+        let clouds = sweeps.entry(stamp_ns).or_default();
+        clouds.insert(
+            topic.trim_start_matches("/sweepd/roof/").to_owned(),
+            said.data,
+        );
+        if clouds.len() == TOPICS.len() {
+            check(clouds);
+            let sweep = consumer.find(stamp_ns).expect("the sweep of a cloud");
+            assert!(!sweep.view().header.has(flags::PARTIAL));
+            added_up.insert(stamp_ns);
+            sweeps.remove(&stamp_ns);
+        }
+    }
+    println!("{} sweeps, {left_out} left out", added_up.len());
+}
+
+/// The points of a topic, each once.
+fn points<'a>(clouds: &'a Clouds, topic: &str) -> Vec<&'a [u8]> {
+    clouds[topic].chunks_exact(STEP).collect()
+}
+
+fn check(clouds: &Clouds) {
+    let [all, ground, nonground, objects] = TOPICS.map(|topic| points(clouds, topic));
+    let time_s = |point: &&[u8]| f32::from_le_bytes(point[18..22].try_into().unwrap());
+    for part in [&all, &ground, &nonground, &objects] {
+        assert!(part.is_sorted_by_key(time_s), "a time steps back");
+    }
+    // A beam of a VLP-16 fires alone: merged by time, the parts are the cloud.
+    let mut both = [&ground[..], &nonground].concat();
+    both.sort_by(|one, other| time_s(one).total_cmp(&time_s(other)));
+    assert!(both == all, "ground and nonground are not the cloud");
+    let of_nonground: BTreeSet<&[u8]> = nonground.iter().copied().collect();
+    assert!(objects.iter().all(|point| of_nonground.contains(point)));
+    assert!(objects.len() < nonground.len() && !ground.is_empty());
+}
