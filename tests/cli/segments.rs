@@ -101,7 +101,9 @@ fn a_pcd_has_the_time_of_each_point() {
         assert_eq!(ran.code, 0, "{}", ran.stderr);
         let [rows, pcd] =
             ["csv", "pcd"].map(|ending| dir.join(format!("sweep_{sweep:06}.{ending}")));
-        let (rows, pcd) = (csv(&rows), Pcd::read(&pcd));
+        let (mut rows, pcd) = (csv(&rows), Pcd::read(&pcd));
+        // A PCD has them as they were measured; of those at once, the higher row first.
+        rows.sort_by_key(|row| ["time_ns", "row"].map(|key| row[key].parse::<i64>().unwrap()));
         assert!(
             rows.len() > 5_000 && rows.len() == pcd.points.len(),
             "{name}"

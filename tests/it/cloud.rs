@@ -27,7 +27,8 @@ fn street() -> (Vec<u8>, Vec<u32>) {
     let sweep = SweepRef::open(runner.sweeps[2].as_ref()).unwrap();
     let mut file = Vec::new();
     write_pcd(sweep, Frame::Ros, &mut file).unwrap();
-    (file, sweep.returns().map(|found| found.label).collect())
+    let points = sweep.points_by_time(Frame::Ros);
+    (file, points.map(|found| found.label).collect())
 }
 
 fn vlp16() -> RowTable {

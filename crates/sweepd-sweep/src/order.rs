@@ -14,8 +14,8 @@ pub struct FiredPixel {
     pub firing: usize,
 }
 
-/// The pixels of a sweep in the order in which their beams fired; those of beams that fire at once
-/// from the top row down. See [`SweepRef::pixels_by_time`].
+/// The pixels of a sweep in the order in which their beams fired; of those that fired at once, the
+/// earlier firing and the higher row first. See [`SweepRef::pixels_by_time`].
 ///
 /// The beams of a firing have the same order in all firings. Most firings end before the next one
 /// begins: only the shots of those that overlap are sorted.
@@ -38,7 +38,8 @@ impl<'a> PixelsByTime<'a> {
     pub(crate) fn of(sweep: SweepRef<'a>) -> Self {
         let offset_ns = |&row: &usize| sweep.beams[row].time_offset_ns;
         let mut rows: Vec<usize> = (0..sweep.rows()).collect();
-        rows.sort_by_key(offset_ns);
+        // Each time is read once: a hostile publisher may write to them meanwhile.
+        rows.sort_by_cached_key(offset_ns);
         let [first_ns, last_ns] = [rows.first(), rows.last()].map(|row| row.map_or(0, offset_ns));
         let mut earliest_ns: Vec<u32> = sweep.columns.iter().map(|one| one.time_ns).collect();
         let mut least_ns = u32::MAX;
@@ -49,7 +50,7 @@ impl<'a> PixelsByTime<'a> {
         Self {
             sweep,
             rows,
-            lasts_ns: u64::from(last_ns - first_ns),
+            lasts_ns: u64::from(last_ns.saturating_sub(first_ns)),
             earliest_ns,
             next_firing: 0,
             pixels: Vec::new(),
@@ -81,7 +82,7 @@ impl<'a> PixelsByTime<'a> {
                 ];
                 u64::from(firing_ns) + u64::from(offset_ns)
             };
-            self.pixels.sort_by_key(shot_ns);
+            self.pixels.sort_by_cached_key(shot_ns);
         }
     }
 

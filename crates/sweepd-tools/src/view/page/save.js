@@ -9,7 +9,7 @@ const CSV_HEADER =
 const RECORDS = 32;
 const DEGREES = 180 / Math.PI;
 
-/** All returns of a sweep with all their properties, in the order of the files; points in the frame of a pose. */
+/** All returns of a sweep with all their properties, in the order of the image and of a CSV; points in the frame of a pose. */
 export function* returns(sweep, pose) {
   for (let column = 0; column < sweep.count; column++) {
     for (let row = 0; row < sweep.rows; row++) {
@@ -67,7 +67,10 @@ function four(value) {
 }
 
 export function pcd(sweep, pose) {
-  const all = [...returns(sweep, pose)];
+  // As they were measured; of those at once, the earlier firing and the higher row first.
+  const firing = ({ row, column }) => sweep.firedIn(row, column);
+  const all = [...returns(sweep, pose)].sort((one, other) =>
+    one.afterNs - other.afterNs || firing(one) - firing(other) || one.row - other.row);
   const head =
     "# .PCD v0.7 - Point Cloud Data file format\n" +
     `# time 0 is ${sweep.header.time_ns} ns since 1970\n` +
