@@ -364,6 +364,7 @@ fn check_graph(graph: &Value) {
         "ground",
         "nonground",
         "objects",
+        "scan",
         "markers",
         "range_image",
         "label_image",

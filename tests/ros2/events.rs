@@ -13,11 +13,12 @@ use super::world::{ROOF_MOUNT, World, vlp16};
 /// DDS domain of this test.
 const DDS_DOMAIN: u32 = 92;
 const POINTS: &str = "/sweepd/roof/points";
-const TOPICS: [&str; 7] = [
+const TOPICS: [&str; 8] = [
     "points",
     "ground",
     "nonground",
     "objects",
+    "scan",
     "markers",
     "range_image",
     "label_image",

@@ -1,4 +1,5 @@
-//! `ground` and `nonground` are the cloud; what is no whole turn is left out.
+//! `ground` and `nonground` are the cloud, `scan` is `nonground` from above; what is no whole turn is
+//! left out.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
@@ -40,6 +41,7 @@ fn parts_add_up_and_are_of_whole_turns() {
         [WITH_JAZZY, WITH_KILTED].map(|domain| world.bridge_of_whole_turns(domain, &health));
     let wanted = json!({
         "clouds": TOPICS.map(|topic| format!("/sweepd/roof/{topic}")),
+        "scans": ["/sweepd/roof/scan"],
         "data": true,
         "qualities": ["reliable"],
         "diagnostics": true,
@@ -84,8 +86,13 @@ fn listen(mut peer: Peer, consumer: &Consumer) {
             topic.trim_start_matches("/sweepd/roof/").to_owned(),
             said.data,
         );
-        if clouds.len() == TOPICS.len() {
+        if topic.ends_with("scan") {
+            assert_eq!(said.line["frame_id"], "base_link");
+            assert_eq!(said.line["intensities"], DIRECTIONS);
+        }
+        if clouds.len() == TOPICS.len() + 1 {
             check(clouds);
+            check_scan(clouds);
             let sweep = consumer.find(stamp_ns).expect("the sweep of a cloud");
             assert!(!sweep.view().header.has(flags::PARTIAL));
             added_up.insert(stamp_ns);
@@ -113,4 +120,41 @@ fn check(clouds: &Clouds) {
     let of_nonground: BTreeSet<&[u8]> = nonground.iter().copied().collect();
     assert!(objects.iter().all(|point| of_nonground.contains(point)));
     assert!(objects.len() < nonground.len() && !ground.is_empty());
+}
+
+/// Directions of a scan.
+const DIRECTIONS: usize = 720;
+
+/// A scan is made of the points of the same sweep, seen in the robot's frame.
+fn check_scan(clouds: &Clouds) {
+    let mut expected = [f32::NAN; DIRECTIONS];
+    let mut see = |point: &[u8], is_nonground: bool| {
+        let axis = |at: usize| f32::from_le_bytes(point[at..at + 4].try_into().unwrap());
+        // ROOF_MOUNT by hand: turned by a quarter to the left, 1 m ahead, 0.5 m to the right, 1.5 m up.
+        let [x, y, z] = [1.0 - axis(4), axis(0) - 0.5, axis(8) + 1.5];
+        let direction = (y.atan2(x).to_degrees() + 180.0) * 2.0;
+        let nearest = &mut expected[(direction as usize).min(DIRECTIONS - 1)];
+        let is_in = is_nonground && (-0.5..=2.0).contains(&z);
+        // The least of a number and NaN is the number.
+        *nearest = nearest.min(if is_in { x.hypot(y) } else { f32::INFINITY });
+    };
+    for point in points(clouds, "points") {
+        see(point, false);
+    }
+    for point in points(clouds, "nonground") {
+        see(point, true);
+    }
+    let ranges = clouds["scan"].chunks_exact(4);
+    let ranges: Vec<f32> = ranges
+        .map(|range| f32::from_le_bytes(range.try_into().unwrap()))
+        .collect();
+    assert_eq!(ranges.len(), DIRECTIONS);
+    let differs = |(range, expected): &(&f32, &f32)| {
+        let is_same = range == expected || range.is_nan() && expected.is_nan();
+        !is_same && !((*range - *expected).abs() < 1e-3)
+    };
+    // A point between two directions, or at the end of the band, may be rounded either way.
+    let differ = ranges.iter().zip(&expected).filter(differs).count();
+    assert!(differ < 4, "{differ} directions differ");
+    assert!(ranges.iter().filter(|range| range.is_finite()).count() > 100);
 }

@@ -1,7 +1,7 @@
 """A node of ROS 2 that tells what it hears: rclpy, its own deserialiser, and the graph as it sees it.
 
-Its argument is a JSON object: {"clouds": [topic, ...], "images": [topic, ...], "diagnostics": bool, "data": bool,
-"qualities": ["best_effort", "reliable"], "nodes": bool}. On standard output each message is a line of JSON; with "bytes"
+Its argument is a JSON object: {"clouds": [topic, ...], "images": [topic, ...], "scans": [topic, ...],
+"diagnostics": bool, "data": bool, "qualities": ["best_effort", "reliable"], "nodes": bool}. On standard output each message is a line of JSON; with "bytes"
 in it, that many bytes of the message's data follow.
 """
 
@@ -14,7 +14,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import Image, PointCloud2
+from sensor_msgs.msg import Image, LaserScan, PointCloud2
 
 # Deeper than usual: what is judged is what arrives, not how fast Python takes it.
 DEPTH = 50
@@ -57,6 +57,8 @@ class Peer(Node):
                 self.hear(PointCloud2, topic, quality, self.cloud)
             for topic in wanted.get("images", []):
                 self.hear(Image, topic, quality, self.image)
+        for topic in wanted.get("scans", []):
+            self.hear(LaserScan, topic, "best_effort", self.scan)
         if wanted.get("diagnostics"):
             self.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics, 10)
 
@@ -74,6 +76,13 @@ class Peer(Node):
         said = head(topic, quality, image)
         said["encoding"], said["step"], said["length"] = image.encoding, image.step, len(image.data)
         say(said, memoryview(image.data).cast("B"))
+
+    def scan(self, topic, quality, scan):
+        stamp = scan.header.stamp
+        say({"topic": topic, "quality": quality, "stamp_ns": stamp.sec * 1_000_000_000 + stamp.nanosec,
+             "frame_id": scan.header.frame_id, "angles": [scan.angle_min, scan.angle_max, scan.angle_increment],
+             "times": [scan.time_increment, scan.scan_time], "limits": [scan.range_min, scan.range_max],
+             "intensities": len(scan.intensities)}, scan.ranges.tobytes())
 
     def diagnostics(self, array):
         statuses = []

@@ -1,7 +1,7 @@
 //! Sweeps as messages of ROS 2, without ROS.
 //!
 //! An encoder takes a [`SweepRef`](sweepd_sweep::SweepRef) and appends the bytes of a message to
-//! a `Vec<u8>`, in one pass: [`cloud`], [`image`], [`markers`], [`transforms`]; [`diagnostics`] and
+//! a `Vec<u8>`, in one pass: [`cloud`], [`image`], [`markers`], [`scan`], [`transforms`]; [`diagnostics`] and
 //! [`graph`] take what the caller knows. The bytes are those that ROS 2 puts on the wire and into
 //! bags: CDR, with 4 bytes of encapsulation in front; see [`cdr`]. [`message_type`] says which
 //! message they are.
@@ -23,9 +23,11 @@ pub mod message_type;
 pub mod names;
 pub mod palette;
 mod rays;
+pub mod scan;
 pub mod stamp;
 pub mod transforms;
 
 pub use cloud::{Cloud, Fields, Layout, Points};
 pub use message_type::MessageType;
+pub use scan::Slice;
 pub use stamp::{MessageHeader, Stamp};

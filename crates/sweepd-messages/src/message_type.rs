@@ -43,6 +43,13 @@ pub static MARKER_ARRAY: MessageType = MessageType {
     definition: include_str!("../definitions/MarkerArray.txt"),
 };
 
+/// What stands around, from above: [`crate::scan`].
+pub static LASER_SCAN: MessageType = MessageType {
+    name: "sensor_msgs/msg/LaserScan",
+    hash: "RIHS01_64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828",
+    definition: include_str!("../definitions/LaserScan.txt"),
+};
+
 /// Health: [`crate::diagnostics`].
 pub static DIAGNOSTIC_ARRAY: MessageType = MessageType {
     name: "diagnostic_msgs/msg/DiagnosticArray",
@@ -65,9 +72,10 @@ pub static PARTICIPANT_ENTITIES_INFO: MessageType = MessageType {
 };
 
 /// All of them.
-pub static ALL: [&MessageType; 6] = [
+pub static ALL: [&MessageType; 7] = [
     &POINT_CLOUD,
     &IMAGE,
+    &LASER_SCAN,
     &MARKER_ARRAY,
     &DIAGNOSTIC_ARRAY,
     &TF_MESSAGE,

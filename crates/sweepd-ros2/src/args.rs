@@ -14,6 +14,7 @@ Topics of the sensor `roof`, each computed only while it has a subscriber:
   ~/roof/ground       the same, ground alone
   ~/roof/nonground    the same, all but ground
   ~/roof/objects      the same, segments alone
+  ~/roof/scan         sensor_msgs/LaserScan, the nearest of nonground seen from above
   ~/roof/markers      visualization_msgs/MarkerArray, a box a segment
   ~/roof/range_image  sensor_msgs/Image, 32FC1, metres
   ~/roof/label_image  sensor_msgs/Image, 16UC1
@@ -34,7 +35,8 @@ pub struct Args {
     #[arg(value_name = "NAME", value_parser = sensor_name)]
     pub sensors: Vec<String>,
     /// Parameters: YAML in the form of ROS, with `sensors`, `root`, `health`, `base_frame`,
-    /// `frame_id`, `stamp`, `organized`, `layout`, `fields`, `only_complete`, `min_columns`
+    /// `frame_id`, `stamp`, `organized`, `layout`, `fields`, `only_complete`, `min_columns`,
+    /// `scan_heights`, `scan_ring`
     #[arg(long, value_name = "FILE", visible_alias = "params-file")]
     pub parameters: Option<PathBuf>,
     /// Name of the node

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use sweepd_client::client::{Client, ClientError, Domain, Sweep};
 use sweepd_client::host::realtime_ns;
 use sweepd_messages::cloud::{Cloud, Points};
-use sweepd_messages::message_type::{IMAGE, MARKER_ARRAY, POINT_CLOUD};
+use sweepd_messages::message_type::{IMAGE, LASER_SCAN, MARKER_ARRAY, POINT_CLOUD};
 use sweepd_messages::{MessageHeader, MessageType, image, markers};
 use sweepd_ros2::Publisher;
 use sweepd_sweep::Model;
@@ -36,6 +36,8 @@ pub enum Topic {
     Nonground,
     /// Those of segments.
     Objects,
+    /// The nearest of `Nonground` in each direction, seen from above.
+    Scan,
     /// A box for each segment.
     Markers,
     /// Ranges as an image.
@@ -46,11 +48,12 @@ pub enum Topic {
 
 impl Topic {
     /// All, as they are numbered.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Points,
         Self::Ground,
         Self::Nonground,
         Self::Objects,
+        Self::Scan,
         Self::Markers,
         Self::RangeImage,
         Self::LabelImage,
@@ -63,6 +66,7 @@ impl Topic {
             Self::Ground => "ground",
             Self::Nonground => "nonground",
             Self::Objects => "objects",
+            Self::Scan => "scan",
             Self::Markers => "markers",
             Self::RangeImage => "range_image",
             Self::LabelImage => "label_image",
@@ -78,6 +82,7 @@ impl Topic {
     pub fn message_type(self) -> &'static MessageType {
         match self {
             Self::Points | Self::Ground | Self::Nonground | Self::Objects => &POINT_CLOUD,
+            Self::Scan => &LASER_SCAN,
             Self::Markers => &MARKER_ARRAY,
             Self::RangeImage | Self::LabelImage => &IMAGE,
         }
@@ -99,6 +104,7 @@ impl Topic {
             Self::Ground => cloud(Points::Ground).encode(sweep, &header, message),
             Self::Nonground => cloud(Points::Nonground).encode(sweep, &header, message),
             Self::Objects => cloud(Points::Objects).encode(sweep, &header, message),
+            Self::Scan => parameters.scan(sweep, message),
             Self::Markers => markers::encode(sweep, &header, message),
             Self::RangeImage => image::encode_ranges(sweep, &header, message),
             Self::LabelImage => image::encode_labels(sweep, &header, message),

@@ -11,6 +11,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 use serde::Deserialize;
 use serde::de::{Deserializer, MapAccess, SeqAccess, Visitor};
@@ -18,10 +19,10 @@ use serde_saphyr::options::{DuplicateKeyPolicy, NonFiniteFloatPolicy};
 use serde_saphyr::{Location, Spanned, UserMessageFormatter};
 use sweepd_client::service::{NAME_RULE, is_sensor_name};
 
-use sweepd_messages::{Fields, Layout, Stamp};
+use sweepd_messages::{Fields, Layout, MessageHeader, Slice, Stamp, scan};
 use sweepd_ros2::args::Args;
-use sweepd_sweep::Header;
 use sweepd_sweep::layout::flags;
+use sweepd_sweep::{Header, Pose, SweepRef};
 
 use crate::names::NodeName;
 use crate::ros_args::{RosArgs, Source};
@@ -33,7 +34,7 @@ const SECTION: &str = "ros__parameters";
 /// Parameters of the node.
 const OF_NODE: [&str; 4] = ["sensors", "root", "health", "base_frame"];
 /// Parameters of a sensor; given for the node, they hold for all sensors.
-const OF_SENSOR: [&str; 7] = [
+const OF_SENSOR: [&str; 9] = [
     "frame_id",
     "stamp",
     "organized",
@@ -41,10 +42,15 @@ const OF_SENSOR: [&str; 7] = [
     "fields",
     "only_complete",
     "min_columns",
+    "scan_heights",
+    "scan_ring",
 ];
+/// Heights of the band of a scan, metres: from below the robot's frame, which may be that of its axles,
+/// to above its head.
+const SCAN_HEIGHTS_M: [f32; 2] = [-0.5, 2.0];
 
 /// What the node does.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Parameters {
     /// Sensors that are published; empty: all of the domain.
     pub sensors: Vec<String>,
@@ -61,7 +67,7 @@ pub struct Parameters {
 }
 
 /// How a sensor is published.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct SensorParameters {
     /// Frame of its messages.
     pub frame_id: String,
@@ -75,6 +81,10 @@ pub struct SensorParameters {
     pub only_complete: bool,
     /// Sweeps with fewer measured columns are left out.
     pub min_columns: u32,
+    /// What is in a scan.
+    pub slice: Slice,
+    /// Frame of the robot; empty where there is none.
+    base_frame: String,
 }
 
 /// What a point holds, as it is written in a file.
@@ -86,7 +96,7 @@ enum LayoutName {
 }
 
 /// The parameters of a sensor, as far as they were given.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 struct Given {
     frame_id: Option<String>,
     stamp: Option<Stamp>,
@@ -95,6 +105,8 @@ struct Given {
     fields: Option<Fields>,
     only_complete: Option<bool>,
     min_columns: Option<u32>,
+    scan_heights: Option<[f32; 2]>,
+    scan_ring: Option<u16>,
 }
 
 /// Parameters that cannot be.
@@ -174,6 +186,14 @@ impl Parameters {
             },
             only_complete: own.only_complete.or(all.only_complete).unwrap_or(true),
             min_columns: own.min_columns.or(all.min_columns).unwrap_or(0),
+            slice: match own.scan_ring.or(all.scan_ring) {
+                Some(ring) => Slice::Ring(ring),
+                None => {
+                    let heights_m = own.scan_heights.or(all.scan_heights);
+                    Slice::Heights(heights_m.unwrap_or(SCAN_HEIGHTS_M))
+                }
+            },
+            base_frame: self.base_frame.clone(),
         }
     }
 
@@ -306,6 +326,22 @@ impl SensorParameters {
         let measured = header.columns.saturating_sub(not_measured);
         (is_complete || !self.only_complete) && measured >= self.min_columns
     }
+
+    /// Appends the scan of a sweep: a band of heights in the frame of the robot, where the daemon says where
+    /// the sensor sits, and a beam in the sensor's.
+    pub fn scan(&self, sweep: &SweepRef<'_>, message: &mut Vec<u8>) {
+        let mount = Pose::of_mount(sweep.header);
+        let is_of_robot = matches!(self.slice, Slice::Heights(_))
+            && mount.is_given()
+            && !self.base_frame.is_empty();
+        let (pose, frame_id) = match is_of_robot {
+            true => (Some(&mount), &self.base_frame),
+            false => (None, &self.frame_id),
+        };
+        let stamp = self.stamp;
+        let header = MessageHeader { frame_id, stamp };
+        scan::encode(sweep, self.slice, pose, &header, message);
+    }
 }
 
 impl Given {
@@ -328,6 +364,11 @@ impl Given {
             "fields" => self.fields = Some(fields(value)?),
             "only_complete" => self.only_complete = Some(switch(value)?),
             "min_columns" => self.min_columns = Some(number(value)?),
+            "scan_heights" => self.scan_heights = Some(heights(value)?),
+            "scan_ring" => {
+                let is_given = optional(value)?.is_some();
+                self.scan_ring = is_given.then(|| number(value)).transpose()?;
+            }
             _ => unreachable!("{name} is none of {OF_SENSOR:?}"),
         }
         Ok(())
@@ -370,10 +411,20 @@ fn switch(value: &Spanned<Tree>) -> Result<bool, String> {
     }
 }
 
-fn number(value: &Spanned<Tree>) -> Result<u32, String> {
+fn number<T: FromStr>(value: &Spanned<Tree>) -> Result<T, String> {
     let text = text(value)?;
     let number = text.parse();
     number.map_err(|_| format!("expected a whole number from 0 on, not `{text}`"))
+}
+
+/// Two heights, metres, the lower one first.
+fn heights(value: &Spanned<Tree>) -> Result<[f32; 2], String> {
+    let texts = texts(value)?;
+    let numbers: Vec<f32> = texts.iter().flat_map(|text| text.parse()).collect();
+    match numbers[..] {
+        [low_m, high_m] if texts.len() == 2 && low_m < high_m => Ok([low_m, high_m]),
+        _ => Err("expected two heights in metres, the lower one first: [-0.5, 2.0]".to_owned()),
+    }
 }
 
 fn choice<T: Copy>(value: &Spanned<Tree>, choices: &[(&str, T)]) -> Result<T, String> {
@@ -571,6 +622,8 @@ mod tests {
             layout: Layout::Fields(Fields::ALL),
             only_complete: true,
             min_columns: 0,
+            slice: Slice::Heights([-0.5, 2.0]),
+            base_frame: "base_link".to_owned(),
         };
         assert_eq!(parameters.of("roof"), expected);
     }
@@ -708,6 +761,9 @@ mod tests {
                 "a point has no field \"colour\": fields are x, y, z, intensity, ring, time and label",
             ),
             ("layout: xyz", 3, "expected xyzirt or autoware"),
+            ("scan_heights: [1, 0]", 3, "the lower one first"),
+            ("scan_heights: [0, 1, x]", 3, "expected two heights"),
+            ("scan_ring: top", 3, "expected a whole number"),
             (
                 "min_columns: -1",
                 3,

@@ -2,14 +2,15 @@
 
 use nalgebra::{Quaternion, Rotation3, UnitQuaternion, Vector3};
 use sweepd_core::segment::Mount;
+use sweepd_core::sensor::Beam;
 use sweepd_messages::diagnostics::{Level, Status};
 use sweepd_messages::graph::{GidForm, Node};
 use sweepd_messages::transforms::Transform;
 use sweepd_messages::{
-    MessageHeader, Stamp, diagnostics, graph, image, markers, palette, transforms,
+    MessageHeader, Slice, Stamp, diagnostics, graph, image, markers, palette, scan, transforms,
 };
-use sweepd_sweep::Pose;
 use sweepd_sweep::layout::flags;
+use sweepd_sweep::{Column, Pose};
 
 use super::reader::Reader;
 use super::scene::Scene;
@@ -33,6 +34,90 @@ fn read_image<const BYTES: usize>(message: &[u8]) -> (u32, u32, &str, Vec<[u8; B
         .chunks_exact(BYTES)
         .map(|pixel| pixel.try_into().unwrap());
     (height, width, encoding, pixels.collect())
+}
+
+/// The distances of a scan, and the frame.
+fn scan_of(scene: &Scene, slice: Slice, pose: Option<&Pose>) -> Vec<f32> {
+    let mut message = Vec::new();
+    scan::encode(&scene.sweep(), slice, pose, &HEADER, &mut message);
+    let mut reader = Reader::new(&message);
+    assert_eq!(reader.header(), (1_700_000_000_123_456_789, "roof"));
+    let angles = [reader.f32(), reader.f32(), reader.f32()].map(f32::to_degrees);
+    let expected = [-179.75, 179.75, 0.5];
+    assert!(
+        angles
+            .iter()
+            .zip(expected)
+            .all(|(angle, expected)| (angle - expected).abs() < 1e-4)
+    );
+    // No order of time; how long the sweep took; the least and the greatest range.
+    let times_and_limits = [(); 4].map(|()| reader.f32());
+    assert_eq!(times_and_limits, [0.0, 0.1, 0.0, 300.0]);
+    let [ranges, intensities] = [(); 2].map(|()| {
+        let count = reader.u32() as usize;
+        (0..count).map(|_| reader.f32()).collect::<Vec<f32>>()
+    });
+    reader.end();
+    let is_point = |(range, intensity): (&f32, &f32)| range.is_finite() == (*intensity == 7.0);
+    assert!(ranges.iter().zip(&intensities).all(is_point));
+    ranges
+}
+
+/// By hand: three beams, level and 0.1 rad above and below it, look ahead, to the right, back and to the
+/// left.
+#[test]
+fn a_scan_is_the_nearest_of_a_band_and_proves_nothing_where_nothing_returned() {
+    let mut scene = Scene::new(3, 4, false);
+    scene.fill(|sweep| {
+        sweep.header.duration_ns = 100_000_000;
+        for (row, (beam, elevation_rad)) in sweep.beams.iter_mut().zip([0.1, 0.0, -0.1]).enumerate()
+        {
+            *beam = Beam::ideal(row, elevation_rad).row(0);
+        }
+        for (quarter, column) in sweep.columns.iter_mut().enumerate() {
+            let azimuth_rad = quarter as f32 * std::f32::consts::FRAC_PI_2 + 0.001;
+            *column = Column::measured(quarter as u64, 0, azimuth_rad, 0.0, 0);
+        }
+        // Ahead: a wall, and a sign above the band. Right: ground alone. Back: nothing. Left: a post without
+        // a label before a wall.
+        sweep
+            .range
+            .copy_from_slice(&[4.0, 10.0, 0.0, 0.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0, 8.0, 3.0]);
+        sweep
+            .label
+            .copy_from_slice(&[2, 2, 0, 0, 0, 1, 0, 0, 0, 0, 3, 0]);
+        sweep.reflectivity.fill(7);
+    });
+    // Directions of half a degree from straight back on, against the clock.
+    let [ahead, right, back, left] = [359, 179, 719, 539];
+    let of_band = scan_of(&scene, Slice::Heights([-1.0, 0.2]), None);
+    assert_eq!(of_band[ahead], 10.0);
+    assert_eq!(of_band[right], f32::INFINITY);
+    assert!(of_band[back].is_nan());
+    assert!((of_band[left] - 3.0 * 0.1_f32.cos()).abs() < 1e-6);
+    assert_eq!(of_band.iter().filter(|range| range.is_nan()).count(), 717);
+
+    let of_beam = scan_of(&scene, Slice::Ring(1), None);
+    assert_eq!([of_beam[ahead], of_beam[left]], [10.0, 8.0]);
+    assert_eq!(of_beam[right], f32::INFINITY);
+
+    // A metre ahead of the robot's middle and a metre up, turned to the left by a quarter.
+    let pose = Pose::mounted([0.0, 1.0, 1.0], [std::f32::consts::FRAC_PI_2, 0.0, 0.0]);
+    let of_robot = scan_of(&scene, Slice::Heights([0.5, 1.1]), Some(&pose));
+    let nearest = of_robot.iter().filter(|range| range.is_finite()).count();
+    assert_eq!(
+        nearest, 2,
+        "the wall, which is on the left now, and the one behind"
+    );
+    let to_wall = of_robot.iter().copied().fold(f32::INFINITY, f32::min);
+    assert!(
+        (to_wall - (3.0 * 0.1_f32.cos() - 1.0)).abs() < 1e-2,
+        "{to_wall}"
+    );
+
+    scene.fill(|sweep| sweep.header.flags = flags::BLIND);
+    let blind = scan_of(&scene, Slice::Ring(1), None);
+    assert!(blind.iter().all(|range| range.is_nan()));
 }
 
 /// By hand: two rows, three columns; the sweep is stored column after column.

@@ -1,0 +1,133 @@
+//! What stands around the sensor, seen from above, as `sensor_msgs/LaserScan`: what navigation in two
+//! dimensions reads.
+//!
+//! Returns that are not of the ground, from a band between two heights or of one beam. Each of
+//! [`DIRECTIONS`] has the distance of the nearest of them in the plane, and its reflectivity as
+//! intensity. A direction in which nothing of the band is, but something returned, is infinite; one in
+//! which nothing returned at all is NaN (REP 117): a beam that got no answer proves no free way. A sweep
+//! whose sensor does not see ([`flags::NOT_SEEING`]) has NaN everywhere.
+//!
+//! Directions go from -pi to pi, against the clock, as REP 103 has them. The head turns the other
+//! way and begins elsewhere: `time_increment` is 0.
+
+use std::f32::consts::PI;
+
+use sweepd_sweep::layout::{LABEL_GROUND, flags, is_return};
+use sweepd_sweep::{Pose, SweepRef};
+
+use crate::cdr::Writer;
+use crate::rays::Shots;
+use crate::stamp::MessageHeader;
+
+/// Directions of a scan: half a degree each, so that each sensor looks into each of them at all its
+/// speeds.
+pub const DIRECTIONS: usize = 720;
+
+/// The longest distance that a sensor of these models measures, metres.
+const RANGE_MAX_M: f32 = 300.0;
+
+/// Which returns are in a scan.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Slice {
+    /// Those between two heights, metres, in the frame of the scan.
+    Heights([f32; 2]),
+    /// Those of a beam, numbered from the lowest up, from 0.
+    Ring(u16),
+}
+
+/// Appends the message, in the axes of ROS of the frame in which the sensor has a pose; `None` for its
+/// own. [`MessageHeader::frame_id`] is the name of that frame.
+pub fn encode(
+    sweep: &SweepRef<'_>,
+    slice: Slice,
+    pose: Option<&Pose>,
+    header: &MessageHeader<'_>,
+    message: &mut Vec<u8>,
+) {
+    let increment = 2.0 * PI / DIRECTIONS as f32;
+    let mut writer = Writer::new(message);
+    writer.header(header.stamp.time_ns(sweep), header.frame_id);
+    writer.f32(increment / 2.0 - PI);
+    writer.f32(PI - increment / 2.0);
+    writer.f32(increment);
+    writer.f32(0.0);
+    writer.f32((sweep.header.duration_ns as f64 * 1e-9) as f32);
+    writer.f32(0.0);
+    writer.f32(RANGE_MAX_M);
+    let directions = directions(sweep, slice, pose);
+    writer.count(DIRECTIONS);
+    for direction in &directions {
+        writer.f32(direction.distance_m);
+    }
+    writer.count(DIRECTIONS);
+    for direction in &directions {
+        writer.f32(f32::from(direction.reflectivity));
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Direction {
+    /// NaN while nothing returned.
+    distance_m: f32,
+    reflectivity: u8,
+}
+
+fn directions(sweep: &SweepRef<'_>, slice: Slice, pose: Option<&Pose>) -> [Direction; DIRECTIONS] {
+    let mut directions = [Direction {
+        distance_m: f32::NAN,
+        reflectivity: 0,
+    }; DIRECTIONS];
+    if sweep.header.has(flags::NOT_SEEING) {
+        return directions;
+    }
+    let from_sensor = Pose::ROS * pose.copied().unwrap_or(Pose::IDENTITY);
+    let shots = Shots::of(sweep);
+    let rows = sweep.rows();
+    for column in 0..sweep.columns.len() {
+        for row in 0..rows {
+            let pixel = column * rows + row;
+            let first = (
+                sweep.range[pixel],
+                sweep.reflectivity[pixel],
+                sweep.label[pixel],
+            );
+            let second = sweep
+                .range2
+                .get(pixel)
+                .map(|&range_m| (range_m, sweep.reflectivity2[pixel], sweep.label2[pixel]));
+            let returns = [Some(first), second].into_iter().flatten();
+            for (range_m, reflectivity, label) in
+                returns.filter(|(range_m, ..)| is_return(*range_m))
+            {
+                let shot = shots.of_firing(row, sweep.fired_in(row, column));
+                let [forward, left, up] = shot.point_m(range_m).map(f64::from);
+                let [x, y, z] = from_sensor
+                    .apply([-left, forward, up])
+                    .map(|value| value as f32);
+                let turned = (y.atan2(x) + PI) / (2.0 * PI);
+                let direction = (turned * DIRECTIONS as f32) as usize;
+                let direction = &mut directions[direction.min(DIRECTIONS - 1)];
+                let is_in = match slice {
+                    Slice::Heights([low_m, high_m]) => (low_m..=high_m).contains(&z),
+                    Slice::Ring(ring) => shot.ring() == ring,
+                };
+                let distance_m = match is_in && label != LABEL_GROUND {
+                    true => x.hypot(y),
+                    false => f32::INFINITY,
+                };
+                // NaN is smaller than nothing.
+                if !(direction.distance_m <= distance_m) {
+                    *direction = Direction {
+                        distance_m,
+                        reflectivity: if distance_m.is_finite() {
+                            reflectivity
+                        } else {
+                            0
+                        },
+                    };
+                }
+            }
+        }
+    }
+    directions
+}
