@@ -144,7 +144,38 @@ fn a_killed_recording_is_mended() {
     sensor.wait();
 }
 
-/// A disk of 2 MB, in a namespace of the test's own, is full within a second.
+/// Records to a disk of the test's own, in a namespace of its own: how it ended, and what it said.
+/// The script runs meanwhile, with the name of the file as `$FILE` and its folder as `$DISK`; then
+/// its folder is listed, and the file copied, if there is one.
+fn record_to_disk(setup: &Setup, options: &str, meanwhile: &str) -> (String, String, Vec<String>) {
+    let disk = setup.path("disk");
+    fs::create_dir(&disk).unwrap();
+    let script = format!(
+        "mount -t tmpfs -o {options} none $DISK\n\
+         $PROGRAM record --from roof --root $ROOT --mcap $FILE --seconds 5 &\n\
+         {meanwhile}\n\
+         wait $! && exit 9\n\
+         ls $DISK\n\
+         cp $FILE $COPY 2>/dev/null || true\n"
+    );
+    let file = disk.join("roof.mcap");
+    let ran = Command::new("unshare")
+        .args(["-m", "sh", "-c", &script])
+        .env("PROGRAM", sweepd(&[]).get_program())
+        .env("ROOT", setup.own.root())
+        .env("DISK", &disk)
+        .env("FILE", &file)
+        .env("COPY", setup.path("copy.mcap"))
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&ran.stderr).into_owned();
+    assert!(ran.status.success(), "{said}");
+    let left = String::from_utf8_lossy(&ran.stdout);
+    let left = left.lines().map(str::to_owned).collect();
+    (file.to_str().unwrap().to_owned(), said, left)
+}
+
+/// A disk of 4 MB is full within two seconds.
 #[test]
 #[cfg_attr(without_root, ignore = "not root, or no namespaces")]
 fn a_full_disk_leaves_a_file_that_is_read_at_once() {
@@ -152,29 +183,38 @@ fn a_full_disk_leaves_a_file_that_is_read_at_once() {
     let _daemon = setup.daemon();
     let _ = setup.client();
     let _sensor = setup.sensor("vlp16", 600, 30.0);
-    let (disk, copy) = (setup.path("disk"), setup.path("copy.mcap"));
-    fs::create_dir(&disk).unwrap();
-    let file = disk.join("roof.mcap");
-    let (disk, to, root) = (disk.display(), file.to_str().unwrap(), setup.own.root());
-    let program = sweepd(&[]).get_program().to_owned();
-    let script = format!(
-        "mount -t tmpfs -o size=2m none {disk}\n\
-         {} record --from roof --root {} --mcap {to} --seconds 20 && exit 9\n\
-         ls {disk}\n\
-         cp {to} {}\n",
-        program.display(),
-        root.display(),
-        copy.display(),
-    );
-    let ran = Command::new("unshare")
-        .args(["-m", "sh", "-c", &script])
-        .output()
-        .unwrap();
-    let said = String::from_utf8_lossy(&ran.stderr);
-    assert!(ran.status.success(), "{said}");
-    assert_eq!(String::from_utf8_lossy(&ran.stdout), "roof.mcap\n");
-    let expected = format!("error: cannot write {to}: No space left on device");
+    let (file, said, left) = record_to_disk(&setup, "size=4m", "");
+    assert_eq!(left, ["roof.mcap"]);
+    let expected = format!("error: cannot write {file}: No space left on device");
     assert!(said.contains(&expected), "{said}");
-    let clouds = read(&copy).len() / 2;
+    let clouds = read(&setup.path("copy.mcap")).len() / 2;
     assert!(clouds >= 3, "{clouds} clouds");
+}
+
+/// One that is read-only, and one that is taken away while it is written to.
+#[test]
+#[cfg_attr(without_root, ignore = "not root, or no namespaces")]
+fn a_disk_that_takes_nothing_is_one_error() {
+    let setup = Setup::new("", "");
+    let _daemon = setup.daemon();
+    let _ = setup.client();
+    let _sensor = setup.sensor("vlp16", 600, 60.0);
+    let gone = "until test -s $FILE.part; do sleep 0.1; done\numount -l $DISK";
+    for (options, meanwhile, why) in [
+        ("ro", "", "Read-only file system"),
+        (
+            "size=64m",
+            gone,
+            "was removed or replaced while it was written",
+        ),
+    ] {
+        let (file, said, left) = record_to_disk(&setup, options, meanwhile);
+        let errors: Vec<&str> = said.lines().filter(|line| line.contains("error")).collect();
+        assert!(
+            errors.len() == 1 && errors[0].contains(&file) && errors[0].contains(why),
+            "{said}"
+        );
+        assert!(left.is_empty(), "{left:?}");
+        fs::remove_dir(setup.path("disk")).unwrap();
+    }
 }
