@@ -14,6 +14,9 @@ const POINT: usize = 26;
 const TIME_OF_CLOUD: usize = 18;
 const TIME_OF_PCD: usize = 22;
 
+/// Whether a label is in a cloud.
+type IsIn = fn(u32) -> bool;
+
 fn times_s(points: &[u8], offset: usize) -> Vec<f32> {
     let time = |point: &[u8]| f32::from_le_bytes(point[offset..offset + 4].try_into().unwrap());
     points.chunks_exact(POINT).map(time).collect()
@@ -50,14 +53,14 @@ fn times_of_pcd(sweep: SweepRef<'_>, count: usize) -> Vec<f32> {
 fn check(what: &str, sweep: &SweepRef<'_>) -> usize {
     let first_ns = sweep.header.time_ns;
     let returns: Vec<Return> = sweep.returns().collect();
-    let sorted = |is_in: fn(u32) -> bool| {
+    let sorted = |is_in: IsIn| {
         let found = returns.iter().filter(|one| is_in(one.label));
         let mut times_ns: Vec<i64> = found.map(|one| one.time_ns - first_ns).collect();
         times_ns.sort_unstable();
         let times = times_ns.iter().map(|&ns| (ns as f64 * 1e-9) as f32);
         times.collect::<Vec<f32>>()
     };
-    let kinds: [(Points, fn(u32) -> bool); 4] = [
+    let kinds: [(Points, IsIn); 4] = [
         (Points::All, |_| true),
         (Points::Ground, |label| label == 1),
         (Points::Nonground, |label| label != 1),
