@@ -151,7 +151,8 @@ fn check_scan(clouds: &Clouds) {
     assert_eq!(ranges.len(), DIRECTIONS);
     let differs = |(range, expected): &(&f32, &f32)| {
         let is_same = range == expected || range.is_nan() && expected.is_nan();
-        !is_same && !((*range - *expected).abs() < 1e-3)
+        let is_near = (*range - *expected).abs() < 1e-3;
+        !is_same && !is_near
     };
     // A point between two directions, or at the end of the band, may be rounded either way.
     let differ = ranges.iter().zip(&expected).filter(differs).count();

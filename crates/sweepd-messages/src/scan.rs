@@ -115,8 +115,7 @@ fn directions(sweep: &SweepRef<'_>, slice: Slice, pose: Option<&Pose>) -> [Direc
                     true => x.hypot(y),
                     false => f32::INFINITY,
                 };
-                // NaN is smaller than nothing.
-                if !(direction.distance_m <= distance_m) {
+                if direction.distance_m.is_nan() || distance_m < direction.distance_m {
                     *direction = Direction {
                         distance_m,
                         reflectivity: if distance_m.is_finite() {
