@@ -26,7 +26,7 @@ const UNCONFIRMED_LEASE: Duration = Duration::from_secs(5);
 const WINDOW: u64 = 256;
 
 /// A lease may be infinite; a participant that is gone is forgotten all the same.
-const LONGEST_LEASE: Duration = Duration::from_secs(3600);
+const LONGEST_LEASE: Duration = Duration::from_secs(300);
 
 /// How often, at most, and in which interval a participant is told of us that does not know us.
 /// The end of it keeps two that have nothing to tell each other from answering for ever.
@@ -57,6 +57,14 @@ pub fn is_own(address: &Ipv4Addr, own: &OwnAddresses) -> bool {
 }
 
 impl Place {
+    /// The host of it; this one has one name.
+    pub fn host(self) -> Ipv4Addr {
+        match self.near {
+            true => Ipv4Addr::LOCALHOST,
+            false => *self.address.ip(),
+        }
+    }
+
     /// Chooses among the places that someone names, whose datagrams come from `source`.
     ///
     /// On this host the loopback goes before any other address. Of another host, its address in
@@ -158,6 +166,8 @@ pub struct ReaderData {
     pub promise: Option<&'static str>,
     /// Where it gets its datagrams.
     pub place: Place,
+    /// The places that it names for that; none for those of its participant.
+    named: Vec<SocketAddrV4>,
 }
 
 impl ReaderData {
@@ -172,6 +182,7 @@ impl ReaderData {
             names_hash: false,
             promise: None,
             place,
+            named: vec![],
         }
     }
 
@@ -202,11 +213,6 @@ impl ReaderData {
                 _ => {}
             }
         }
-        let locators = if locators.is_empty() {
-            &participant.user
-        } else {
-            &locators
-        };
         Some(Self {
             guid: guid?,
             topic: topic?,
@@ -215,8 +221,22 @@ impl ReaderData {
             transient_local,
             names_hash,
             promise,
-            place: Place::choose(locators, participant.source, own)?,
+            place: Self::place(&locators, participant, own)?,
+            named: locators,
         })
+    }
+
+    /// Where a reader is that names these places.
+    fn place(
+        named: &[SocketAddrV4],
+        participant: &ParticipantData,
+        own: &OwnAddresses,
+    ) -> Option<Place> {
+        let named = match named.is_empty() {
+            true => &participant.user,
+            false => named,
+        };
+        Place::choose(named, participant.source, own)
     }
 }
 
@@ -294,6 +314,8 @@ struct Participant {
     tell_again: Instant,
     tells_left: u32,
     subscriptions: Received,
+    /// The newest sample of its subscriptions that it told of.
+    newest_subscription: u64,
     readers: BTreeMap<EntityId, ReaderData>,
 }
 
@@ -308,7 +330,13 @@ pub struct Discovery {
 
 impl Discovery {
     /// A participant says that it is there.
-    pub fn participant(&mut self, prefix: Prefix, data: ParticipantData, now: Instant) -> News {
+    pub fn participant(
+        &mut self,
+        prefix: Prefix,
+        data: ParticipantData,
+        own: &OwnAddresses,
+        now: Instant,
+    ) -> News {
         if let Some(known) = self.participants.get_mut(&prefix) {
             let mut data = data;
             // A host may speak from several addresses: the one that works stays.
@@ -319,10 +347,14 @@ impl Discovery {
             known.data = data;
             known.heard = now;
             if moved {
-                self.readers -= known.readers.len();
-                known.readers.clear();
-                known.subscriptions = Received::new();
                 (known.since, known.is_confirmed) = (now, false);
+                // It has told of its readers, and will not do so again.
+                known.readers.retain(|_, reader| {
+                    let place = ReaderData::place(&reader.named, &known.data, own);
+                    reader.place = place.unwrap_or(reader.place);
+                    place.is_some()
+                });
+                self.readers = self.count_readers();
                 return News::New;
             }
             if known.tells_left == 0 || now < known.tell_again {
@@ -343,10 +375,16 @@ impl Discovery {
             tell_again: now + TELL_INTERVAL,
             tells_left: TELLS,
             subscriptions: Received::new(),
+            newest_subscription: 0,
             readers: BTreeMap::new(),
         };
         self.participants.insert(prefix, participant);
         News::New
+    }
+
+    fn count_readers(&self) -> usize {
+        let readers = self.participants.values().map(|one| one.readers.len());
+        readers.sum()
     }
 
     /// Whom a participant that is new displaces where there is no room: of those that have
@@ -391,10 +429,17 @@ impl Discovery {
         is_there
     }
 
-    /// Whether a participant has acknowledged something.
-    pub fn is_confirmed(&self, prefix: Prefix) -> bool {
+    /// The host from which a participant has acknowledged something.
+    pub fn confirmed_host(&self, prefix: Prefix) -> Option<Ipv4Addr> {
+        let participant = self.participants.get(&prefix)?;
+        let host = participant.data.meta.host();
+        participant.is_confirmed.then_some(host)
+    }
+
+    /// The readers of a participant.
+    pub fn readers_of(&self, prefix: Prefix) -> impl Iterator<Item = &ReaderData> {
         let participant = self.participants.get(&prefix);
-        participant.is_some_and(|one| one.is_confirmed)
+        participant.into_iter().flat_map(|one| one.readers.values())
     }
 
     /// A participant has gone, or was never there.
@@ -404,8 +449,9 @@ impl Discovery {
         }
     }
 
-    /// Forgets those that stay silent or acknowledge nothing, and names them.
-    pub fn expire(&mut self, now: Instant) -> Vec<Prefix> {
+    /// Forgets those that stay silent or acknowledge nothing, and names them; and where one of them has
+    /// readers, but has acknowledged nothing.
+    pub fn expire(&mut self, now: Instant) -> (Vec<Prefix>, Option<Place>) {
         let silent = |participant: &Participant| {
             let lease = participant.data.lease;
             now.saturating_duration_since(participant.heard) > lease
@@ -418,10 +464,15 @@ impl Discovery {
             .filter(|(_, participant)| silent(participant))
             .map(|(prefix, _)| *prefix)
             .collect();
+        let unheard = (gone
+            .iter()
+            .filter_map(|prefix| self.participants.get(prefix)))
+        .find(|one| !one.is_confirmed && !one.readers.is_empty())
+        .map(|one| one.data.meta);
         for prefix in &gone {
             self.forget(*prefix);
         }
-        gone
+        (gone, unheard)
     }
 
     /// A participant has something new to say of a reader: the reader, where it is one.
@@ -461,20 +512,32 @@ impl Discovery {
         self.readers -= usize::from(ended.is_some());
     }
 
-    /// A participant says which samples of its subscriptions there are: what we miss, and where to
-    /// say so.
-    pub fn subscriptions(
-        &mut self,
-        prefix: Prefix,
-        first: u64,
-        last: u64,
-    ) -> Option<(NumberSet, Place)> {
+    /// A participant says which samples of its subscriptions there are.
+    pub fn subscriptions(&mut self, prefix: Prefix, first: u64, last: u64) {
+        if let Some(participant) = self.participants.get_mut(&prefix) {
+            participant.subscriptions.skip_to(first);
+            participant.newest_subscription = last;
+        }
+    }
+
+    /// Which samples of a participant's subscriptions we miss, and where to say so. None as long as it has
+    /// acknowledged nothing: it may be forgotten, and tells nothing again that was acknowledged.
+    pub fn missing_subscriptions(&mut self, prefix: Prefix) -> Option<(NumberSet, Place)> {
         let participant = self.participants.get_mut(&prefix)?;
-        // It tells us of its readers: it knows us.
+        if !participant.is_confirmed || participant.newest_subscription == 0 {
+            return None;
+        }
+        // It tells us of its readers and hears us: it knows us.
         participant.tells_left = 0;
-        participant.subscriptions.skip_to(first);
-        let missing = participant.subscriptions.missing(last);
+        let missing = participant
+            .subscriptions
+            .missing(participant.newest_subscription);
         Some((missing, participant.data.meta))
+    }
+
+    /// Where a participant hears of others.
+    pub fn place(&self, prefix: Prefix) -> Option<Place> {
+        self.participants.get(&prefix).map(|one| one.data.meta)
     }
 
     /// A participant says which samples of its subscriptions will never come.
@@ -586,23 +649,26 @@ mod tests {
         let after = |seconds| start + Duration::from_secs(seconds);
         let soon = start + Duration::from_millis(10);
         for (id, lease) in [(1, 10), (2, 20), (3, 20)] {
-            let news = discovery.participant([id; 12], data(lease), start);
+            let news = discovery.participant([id; 12], data(lease), &[], start);
             assert_eq!(news, News::New);
         }
         for id in [1, 2] {
             assert!(discovery.acknowledged([id; 12], Ipv4Addr::LOCALHOST, &[]));
         }
-        assert_eq!(discovery.participant([2; 12], data(20), soon), News::Known);
         assert_eq!(
-            discovery.participant([2; 12], data(20), after(5)),
+            discovery.participant([2; 12], data(20), &[], soon),
+            News::Known
+        );
+        assert_eq!(
+            discovery.participant([2; 12], data(20), &[], after(5)),
             News::Unaware
         );
         // The third has acknowledged nothing.
-        assert!(discovery.expire(after(5)).is_empty());
-        assert_eq!(discovery.expire(after(6)), [[3; 12]]);
-        assert!(discovery.expire(after(10)).is_empty());
-        assert_eq!(discovery.expire(after(11)), [[1; 12]]);
-        assert!(discovery.expire(after(25)).is_empty());
-        assert_eq!(discovery.expire(after(26)), [[2; 12]]);
+        assert!(discovery.expire(after(5)).0.is_empty());
+        assert_eq!(discovery.expire(after(6)).0, [[3; 12]]);
+        assert!(discovery.expire(after(10)).0.is_empty());
+        assert_eq!(discovery.expire(after(11)).0, [[1; 12]]);
+        assert!(discovery.expire(after(25)).0.is_empty());
+        assert_eq!(discovery.expire(after(26)).0, [[2; 12]]);
     }
 }

@@ -15,8 +15,8 @@ use super::sockets::Sockets;
 use super::wire::{ANY_READER, Fragments, Guid, Heartbeat, Message, NumberSet, Route};
 use socket2::{Domain, Protocol, Socket, Type};
 use std::io::{self, IoSlice, Read};
-use std::net::{Ipv4Addr, SocketAddrV4};
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::net::SocketAddrV4;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -212,9 +212,6 @@ pub struct Link {
     pub place: Place,
     /// Of a place on this host.
     room: Mutex<Room>,
-    /// Who is there has acknowledged something. Nothing but small answers goes to anyone else: the
-    /// address may be another's.
-    confirmed: AtomicBool,
 }
 
 /// What may be sent now, in bytes; it was right at that moment.
@@ -252,26 +249,7 @@ impl Link {
         Self {
             place,
             room: Mutex::new(Room::new()),
-            confirmed: AtomicBool::new(false),
         }
-    }
-
-    /// The host where it ends; this one has one name.
-    pub fn host(&self) -> Ipv4Addr {
-        match self.place.near {
-            true => Ipv4Addr::LOCALHOST,
-            false => *self.place.address.ip(),
-        }
-    }
-
-    /// Who is there has acknowledged something.
-    pub fn confirm(&self) {
-        self.confirmed.store(true, Ordering::Relaxed);
-    }
-
-    /// Whether who is there has acknowledged something.
-    pub fn is_confirmed(&self) -> bool {
-        self.confirmed.load(Ordering::Relaxed)
     }
 
     fn room<'a>(&'a self, transport: &'a Transport) -> MutexGuard<'a, Room> {
@@ -552,6 +530,10 @@ pub fn turn(deliveries: &mut Vec<Delivery>, transport: &Transport) -> Vec<(Deliv
     }
     if all_wait && !deliveries.is_empty() {
         thread::sleep(PAUSE);
+    }
+    // Those to other hosts share a pace: each is the first once.
+    if deliveries.len() > 1 {
+        deliveries.rotate_left(1);
     }
     ended
 }

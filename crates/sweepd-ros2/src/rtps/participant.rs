@@ -1,7 +1,8 @@
 //! The participant: sockets, state, and two threads.
 //!
-//! One thread receives, and sends what is small. Samples leave in the thread that writes them; a
-//! second thread sends what readers ask for again, and to slow ones the rest of a sample. The state is locked for moments only, and never while something is sent.
+//! One thread receives, and sends what is small. Samples for this host leave in the thread that writes
+//! them; a second thread sends those for other hosts, what readers ask for again, and to slow ones the
+//! rest of a sample. The state is locked for moments only, and never while something is sent.
 
 use super::discovery::{
     Discovery, MAX_PARTICIPANTS, MAX_READERS, News, ParticipantData, Place, ReaderData, is_own,
@@ -18,8 +19,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{self, Read};
 use std::net::{Ipv4Addr, SocketAddrV4};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -69,6 +70,8 @@ struct State {
     acknacks: u32,
     /// When it was told last that there is no room for others.
     told_full: Option<Instant>,
+    /// When it was told last that somebody acknowledges nothing.
+    told_unheard: Option<Instant>,
 }
 
 struct Shared {
@@ -80,6 +83,8 @@ struct Shared {
     state: Mutex<State>,
     /// To the thread that sends behind the writers, while there is one.
     behind: Mutex<Option<SyncSender<Delivery>>>,
+    /// Those to other hosts that wait or are on their way there.
+    far_behind: AtomicUsize,
     closed: AtomicBool,
 }
 
@@ -157,7 +162,8 @@ impl Participant {
             discovery, ways, ..
         } = &mut *state;
         for reader in discovery.readers() {
-            ways.join(&offer, &mut writer, reader, &mut out);
+            let host = discovery.confirmed_host(reader.guid.prefix);
+            ways.join((&offer, &mut writer), reader, host, &mut out);
         }
         let publication = publication(guid, self.guid(), &offer);
         state.writers.insert(guid.entity, (Some(offer), writer));
@@ -232,6 +238,13 @@ impl Drop for Participant {
     }
 }
 
+/// A delivery that found no room.
+fn rest_of(error: TrySendError<Delivery>) -> Delivery {
+    match error {
+        TrySendError::Full(delivery) | TrySendError::Disconnected(delivery) => delivery,
+    }
+}
+
 /// What others are told of a writer. Where to reach it they know: where its participant is.
 fn publication(guid: Guid, participant: Guid, offer: &Offer) -> Vec<u8> {
     const RELIABLE: u32 = 2;
@@ -262,8 +275,6 @@ fn publication(guid: Guid, participant: Guid, offer: &Offer) -> Vec<u8> {
 #[derive(Default)]
 struct Ways {
     links: BTreeMap<SocketAddrV4, Arc<Link>>,
-    /// Hosts from which a participant has acknowledged something.
-    confirmed: BTreeSet<Ipv4Addr>,
     /// Readers that ask for more than is offered, and were told of.
     warned: BTreeSet<Guid>,
 }
@@ -271,29 +282,24 @@ struct Ways {
 impl Ways {
     fn link(&mut self, place: Place) -> Arc<Link> {
         let link = self.links.entry(place.address);
-        let link = link.or_insert_with(|| Arc::new(Link::new(place)));
-        if self.confirmed.contains(&link.host()) {
-            link.confirm();
-        }
-        Arc::clone(link)
-    }
-
-    /// A participant on a host has acknowledged something: samples may go there.
-    fn confirm(&mut self, host: Ipv4Addr) {
-        if self.confirmed.insert(host) {
-            let there = self.links.values().filter(|link| link.host() == host);
-            there.for_each(|link| link.confirm());
-        }
+        Arc::clone(link.or_insert_with(|| Arc::new(Link::new(place))))
     }
 
     /// Gives a reader to a writer that it matches. One that asks for more than is offered is told
     /// of.
-    fn join(&mut self, offer: &Offer, writer: &mut Writer, reader: &ReaderData, out: &mut Outbox) {
+    fn join(
+        &mut self,
+        (offer, writer): (&Offer, &mut Writer),
+        reader: &ReaderData,
+        confirmed_host: Option<Ipv4Addr>,
+        out: &mut Outbox,
+    ) {
         match offer.matches(reader) {
             Match::No => {}
             Match::Yes => {
                 let link = self.link(reader.place);
-                writer.add_reader(reader, link, Instant::now(), out);
+                let is_confirmed = confirmed_host == Some(reader.place.host());
+                writer.add_reader(reader, link, is_confirmed, Instant::now(), out);
             }
             Match::AsksFor(what) => {
                 if self.warned.len() < MAX_WARNINGS && self.warned.insert(reader.guid) {
@@ -315,8 +321,6 @@ impl Ways {
 
     fn drop_unused(&mut self) {
         self.links.retain(|_, link| Arc::strong_count(link) > 1);
-        let hosts: BTreeSet<Ipv4Addr> = self.links.values().map(|link| link.host()).collect();
-        self.confirmed.retain(|host| hosts.contains(host));
     }
 }
 
@@ -334,6 +338,7 @@ impl Shared {
             entities: 0,
             acknacks: 0,
             told_full: None,
+            told_unheard: None,
         };
         Ok(Self {
             prefix,
@@ -343,6 +348,7 @@ impl Shared {
             transport,
             state: Mutex::new(state),
             behind: Mutex::default(),
+            far_behind: AtomicUsize::new(0),
             closed: AtomicBool::new(false),
         })
     }
@@ -388,11 +394,34 @@ impl Shared {
     }
 
     fn go_on_behind(&self, deliveries: Vec<Delivery>) {
-        if let Some(behind) = &*lock(&self.behind) {
-            for delivery in deliveries {
-                // Where there is no room, a reliable reader asks again.
-                let _ = behind.try_send(delivery);
+        for delivery in deliveries {
+            let is_far = !delivery.link.place.near;
+            // Half of the room is for this host.
+            let has_room = !is_far || self.far_behind.load(Ordering::Relaxed) < MAX_BEHIND / 2;
+            let refused = match lock(&self.behind).as_ref().filter(|_| has_room) {
+                Some(behind) => behind.try_send(delivery).err().map(rest_of),
+                None => Some(delivery),
+            };
+            match refused {
+                None if is_far => {
+                    self.far_behind.fetch_add(1, Ordering::Relaxed);
+                }
+                // A reliable reader asks for it again.
+                Some(refused) if refused.kind == Kind::Rest => {
+                    let mut state = lock(&self.state);
+                    if let Some((_, writer)) = state.writers.get_mut(&refused.writer.entity) {
+                        writer.lost(&refused.link);
+                    }
+                }
+                None | Some(_) => {}
             }
+        }
+    }
+
+    /// A delivery behind the writers has ended.
+    fn ended_behind(&self, delivery: &Delivery) {
+        if !delivery.link.place.near {
+            self.far_behind.fetch_sub(1, Ordering::Relaxed);
         }
     }
 
@@ -412,11 +441,14 @@ impl Shared {
                     break;
                 };
                 // A reader that asks again before it is served gets it once.
-                if !under_way.iter().any(|other| other.is_same(&delivery)) {
+                if under_way.iter().any(|other| other.is_same(&delivery)) {
+                    self.ended_behind(&delivery);
+                } else {
                     under_way.push(delivery);
                 }
             }
             for (delivery, step) in flow::turn(&mut under_way, &self.transport) {
+                self.ended_behind(&delivery);
                 let mut state = lock(&self.state);
                 let writer = state.writers.get_mut(&delivery.writer.entity);
                 let Some((_, writer)) = writer else {
@@ -476,9 +508,11 @@ impl Shared {
     fn tick(&self, now: Instant) -> Outbox {
         let mut out = Outbox::default();
         let mut state = lock(&self.state);
-        for prefix in state.discovery.expire(now) {
+        let (gone, unheard) = state.discovery.expire(now);
+        for prefix in gone {
             state.forget(prefix);
         }
+        state.tell_unheard(unheard, now);
         for (_, writer) in state.writers.values_mut() {
             writer.tick(now, &mut out);
         }
@@ -585,7 +619,7 @@ impl Shared {
                 }
                 self.take(&mut state, prefix, source, submessage, &mut out);
             }
-            state.limit(&mut out, ANSWER_RATIO * datagram.len());
+            state.limit(prefix, &mut out, ANSWER_RATIO * datagram.len());
         }
         out
     }
@@ -634,9 +668,10 @@ impl Shared {
                 first,
                 last,
             } => {
-                if let Some((missing, place)) = state.discovery.subscriptions(prefix, first, last) {
-                    let message = self.acknack(state, prefix, &missing);
-                    out.message(place.address, message);
+                state.discovery.subscriptions(prefix, first, last);
+                match state.discovery.confirmed_host(prefix) {
+                    Some(_) => self.ask_for_readers(state, prefix, out),
+                    None => state.ask_whether_it_hears(prefix, out),
                 }
             }
             Submessage::Gap {
@@ -648,20 +683,36 @@ impl Shared {
         }
     }
 
-    /// A participant that names us acknowledges something: its host may get samples.
+    /// A participant that names us acknowledges something: its readers on that host may get samples.
     fn confirm(&self, state: &mut State, prefix: Prefix, source: Ipv4Addr, out: &mut Outbox) {
+        if state.discovery.confirmed_host(prefix).is_some() {
+            return;
+        }
         let elsewhere = state
             .discovery
             .seen_elsewhere(prefix, source, &state.addresses);
         if let Some(data) = elsewhere {
             self.meet(state, prefix, data, out);
         }
-        if state
+        if !state
             .discovery
             .acknowledged(prefix, source, &state.addresses)
         {
-            let host = state.host(source);
-            state.ways.confirm(host);
+            return;
+        }
+        if let Some(host) = state.discovery.confirmed_host(prefix) {
+            for (_, writer) in state.writers.values_mut() {
+                writer.confirm(prefix, host, Instant::now(), out);
+            }
+        }
+        self.ask_for_readers(state, prefix, out);
+    }
+
+    /// Says to a participant of which of its readers we have heard.
+    fn ask_for_readers(&self, state: &mut State, prefix: Prefix, out: &mut Outbox) {
+        if let Some((missing, place)) = state.discovery.missing_subscriptions(prefix) {
+            let message = self.acknack(state, prefix, &missing);
+            out.message(place.address, message);
         }
     }
 
@@ -686,52 +737,83 @@ impl Shared {
             state.discovery.forget(displaced);
             state.forget(displaced);
         }
-        let news = state.discovery.participant(prefix, data, Instant::now());
+        let now = Instant::now();
+        let news = (state.discovery).participant(prefix, data, &state.addresses, now);
         if news == News::Known {
             return;
         }
         let announcement = self.announcement(&state.addresses);
         out.message(place.address, announcement);
-        if news == News::Unaware && state.discovery.is_confirmed(prefix) {
+        let host = state.discovery.confirmed_host(prefix);
+        if news == News::Unaware && host.is_some() {
             return;
-        }
-        if news == News::New {
-            // One that was here before has moved: its readers, too.
-            state.forget(prefix);
         }
         let nothing = wire::NumberSet::new(1);
         let acknack = self.acknack(state, prefix, &nothing);
         out.message(place.address, acknack);
+        if news == News::New {
+            // One that was here before has moved: its readers, too.
+            state.forget(prefix);
+            state.join_all(prefix, out);
+        }
         let reader = ReaderData::of_publications(prefix, place);
         let link = state.ways.link(place);
         if let Some((_, publications)) = state.writers.get_mut(&wire::PUBLICATIONS_WRITER) {
             publications.remove_readers(|guid| guid == reader.guid);
-            publications.add_reader(&reader, link, Instant::now(), out);
+            publications.add_reader(&reader, link, host.is_some(), now, out);
         }
     }
 }
 
 impl State {
-    /// One name for all addresses of this host.
-    fn host(&self, address: Ipv4Addr) -> Ipv4Addr {
-        match is_own(&address, &self.addresses) {
-            true => Ipv4Addr::LOCALHOST,
-            false => address,
+    /// Sends a heartbeat to a participant that has acknowledged nothing: what it answers shows where it is.
+    fn ask_whether_it_hears(&self, prefix: Prefix, out: &mut Outbox) {
+        let publications = self.writers.get(&wire::PUBLICATIONS_WRITER);
+        if let Some(((_, publications), place)) = publications.zip(self.discovery.place(prefix)) {
+            let reader = Guid::new(prefix, wire::PUBLICATIONS_READER);
+            out.message(place.address, publications.heartbeat(reader));
         }
     }
 
-    /// Takes messages out that have more than so many bytes in all, of those to hosts from which
-    /// nothing was acknowledged.
-    fn limit(&self, out: &mut Outbox, bytes: usize) {
+    /// Takes messages out that have more than so many bytes in all, but of those to the host from which a
+    /// participant has acknowledged something.
+    fn limit(&self, prefix: Prefix, out: &mut Outbox, bytes: usize) {
+        let host = self.discovery.confirmed_host(prefix);
         let mut left = bytes;
         out.messages.retain(|(to, message)| {
-            if self.ways.confirmed.contains(&self.host(*to.ip())) {
+            let near = is_own(to.ip(), &self.addresses);
+            let place = Place { address: *to, near };
+            if host == Some(place.host()) {
                 return true;
             }
             let rest = left.checked_sub(message.bytes().len());
             left = rest.unwrap_or(left);
             rest.is_some()
         });
+    }
+
+    /// Warns, now and then, of subscribers that get nothing because they acknowledged nothing.
+    fn tell_unheard(&mut self, unheard: Option<Place>, now: Instant) {
+        let is_due = self.told_unheard.is_none_or(|at| now - at > TELL_EVERY);
+        if let Some(place) = unheard.filter(|_| is_due) {
+            self.told_unheard = Some(now);
+            log::warn(format_args!(
+                "a participant with subscribers at {} gets nothing: nothing was acknowledged from there",
+                place.address
+            ));
+        }
+    }
+
+    /// Gives all readers of a participant to the writers that they match.
+    fn join_all(&mut self, prefix: Prefix, out: &mut Outbox) {
+        let host = self.discovery.confirmed_host(prefix);
+        for reader in self.discovery.readers_of(prefix) {
+            for (offer, writer) in self.writers.values_mut() {
+                if let Some(offer) = offer {
+                    self.ways.join((offer, writer), reader, host, out);
+                }
+            }
+        }
     }
 
     /// Warns, now and then, that somebody found no room.
@@ -795,9 +877,11 @@ impl State {
         let Some(reader) = self.discovery.subscription(prefix, number, payload, own) else {
             return;
         };
+        let reader = reader.clone();
+        let host = self.discovery.confirmed_host(prefix);
         for (offer, writer) in self.writers.values_mut() {
             if let Some(offer) = offer {
-                self.ways.join(offer, writer, reader, out);
+                self.ways.join((offer, writer), &reader, host, out);
             }
         }
         // One that was here before may have moved.

@@ -7,9 +7,9 @@
 use super::discovery::{Place, ReaderData};
 use super::flow::{Delivery, Kind, Link, Progress, Pulse, Step};
 use super::sample::{Body, Sample};
-use super::wire::{Guid, Message, NumberSet};
+use super::wire::{Guid, Message, NumberSet, Prefix};
 use std::collections::{BTreeMap, VecDeque};
-use std::net::SocketAddrV4;
+use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::atomic::{AtomicU32, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, Weak};
 use std::time::{Duration, Instant};
@@ -121,6 +121,9 @@ struct Reader {
     link: Arc<Link>,
     reliable: bool,
     names_hash: bool,
+    /// Its participant has acknowledged something from its host. Nothing goes to anyone else: the
+    /// address may be another's.
+    is_confirmed: bool,
     /// It gets no sample before this.
     from: u64,
     /// It has all up to this.
@@ -210,7 +213,8 @@ impl Writer {
     }
 
     fn reader_count_changed(&self) {
-        let readers = self.readers.len();
+        let readers = self.readers.values().filter(|one| one.is_confirmed);
+        let readers = readers.count();
         self.counters.readers.store(readers, Ordering::Relaxed);
     }
 
@@ -220,11 +224,13 @@ impl Writer {
         &mut self,
         data: &ReaderData,
         link: Arc<Link>,
+        is_confirmed: bool,
         now: Instant,
         out: &mut Outbox,
     ) {
         if let Some(known) = self.readers.get_mut(&data.guid) {
-            known.link = link;
+            (known.link, known.is_confirmed) = (link, is_confirmed);
+            self.reader_count_changed();
             return;
         }
         let late = self.transient_local && data.transient_local;
@@ -234,11 +240,12 @@ impl Writer {
         } else {
             newest.max(self.complete) + 1
         };
-        let (place, is_confirmed) = (link.place, link.is_confirmed());
+        let place = link.place;
         let reader = Reader {
             link,
             reliable: data.reliable,
             names_hash: data.names_hash,
+            is_confirmed,
             from,
             acknowledged: from - 1,
             asked: now,
@@ -264,6 +271,21 @@ impl Writer {
             message.heartbeat(data.guid.entity, self.guid.entity, pulse.beat());
             out.message(place.address, message);
         }
+    }
+
+    /// A participant has acknowledged something, from a host: its readers there get samples.
+    pub fn confirm(&mut self, prefix: Prefix, host: Ipv4Addr, now: Instant, out: &mut Outbox) {
+        let mut owed = vec![];
+        for (guid, reader) in &mut self.readers {
+            if guid.prefix == prefix && reader.link.place.host() == host && !reader.is_confirmed {
+                reader.is_confirmed = true;
+                owed.extend(reader.is_owed.then_some(*guid));
+            }
+        }
+        for reader in owed {
+            self.send_history(reader, now, out);
+        }
+        self.reader_count_changed();
     }
 
     /// Gives a reader what was written before it was there.
@@ -314,7 +336,7 @@ impl Writer {
             reader.skipped += 1;
         }
         let mut deliveries: Vec<Delivery> = vec![];
-        let can_take = |reader: &Reader| reader.link.is_confirmed() && !reader.is_busy();
+        let can_take = |reader: &Reader| reader.is_confirmed && !reader.is_busy();
         for (guid, reader) in self.readers.iter().filter(|(_, reader)| can_take(reader)) {
             let by_reader = matches!(sample.body, Body::ByReader { .. });
             let same_place = deliveries
@@ -449,7 +471,7 @@ impl Writer {
         let Some(reader) = self.readers.get_mut(&to) else {
             return true;
         };
-        if reader.link.is_confirmed() && reader.wants(number, now) {
+        if reader.is_confirmed && reader.wants(number, now) {
             let pulse = reader
                 .reliable
                 .then_some([first.max(reader.from), self.complete]);
@@ -513,20 +535,12 @@ impl Writer {
         }
     }
 
-    /// Asks readers that have not said that they have all, and gives the history to those that have
-    /// acknowledged something since they came.
+    /// Asks readers that have not said that they have all.
     pub fn tick(&mut self, now: Instant, out: &mut Outbox) {
-        let owed = |(guid, reader): (&Guid, &Reader)| {
-            (reader.is_owed && reader.link.is_confirmed()).then_some(*guid)
-        };
-        let owed: Vec<Guid> = self.readers.iter().filter_map(owed).collect();
-        for reader in owed {
-            self.send_history(reader, now, out);
-        }
         let pulse = self.pulse(self.first(), self.complete);
         for (guid, reader) in &mut self.readers {
             let waiting = reader.reliable && reader.acknowledged < self.complete;
-            let can_answer = reader.link.is_confirmed() && !reader.is_busy();
+            let can_answer = reader.is_confirmed && !reader.is_busy();
             if !waiting || !can_answer || now < reader.asked + reader.interval {
                 continue;
             }
@@ -537,6 +551,14 @@ impl Writer {
         }
     }
 
+    /// A heartbeat for a reader that has acknowledged nothing yet: what it says then shows where it is.
+    pub fn heartbeat(&self, to: Guid) -> Message {
+        let mut message = Message::to(self.guid.prefix, to.prefix);
+        let pulse = self.pulse(self.first(), self.complete);
+        message.heartbeat(to.entity, self.guid.entity, pulse.beat());
+        message
+    }
+
     /// The readers, and what they lost.
     pub fn reader_counts(&self) -> Vec<ReaderCount> {
         let count = |(guid, reader): (&Guid, &Reader)| ReaderCount {
@@ -544,6 +566,7 @@ impl Writer {
             place: reader.link.place,
             skipped: reader.skipped,
         };
-        self.readers.iter().map(count).collect()
+        let confirmed = self.readers.iter().filter(|(_, one)| one.is_confirmed);
+        confirmed.map(count).collect()
     }
 }

@@ -170,8 +170,7 @@ fn sensible_datagrams_are_understood() {
     let [here, reads, others, ended] = sensible(writer.guid).try_into().unwrap();
     // Once it has acknowledged something, the publications; and for a reader, the writer's history.
     take(&participant, &here);
-    take(&participant, acknowledgement([7; 12], &participant).bytes());
-    let out = participant.shared.tick(Instant::now());
+    let out = take(&participant, acknowledgement([7; 12], &participant).bytes());
     assert_eq!((out.messages.len(), out.repairs.len()), (0, 1));
     let out = take(&participant, &reads);
     assert_eq!((out.messages.len(), out.repairs.len()), (0, 5));
@@ -237,11 +236,10 @@ fn a_flood_fills_what_there_is_room_for() {
     }
     assert!(lock(&participant.shared.state).discovery.is_full);
     // One that is new displaces one that has acknowledged nothing.
-    assert!(
-        lock(&participant.shared.state)
-            .discovery
-            .is_confirmed(prefix(0))
-    );
+    let host = lock(&participant.shared.state)
+        .discovery
+        .confirmed_host(prefix(0));
+    assert_eq!(host, Some(Ipv4Addr::LOCALHOST));
     for number in 0..6000_u16 {
         let message = reader_data(prefix(0), 1 + u64::from(number), number);
         participant
@@ -328,7 +326,7 @@ fn samples_go_to_no_address_from_which_nothing_was_acknowledged() {
         let out = take(&participant, acknowledgement(prefix, &participant).bytes());
         assert!(out.messages.is_empty() && out.repairs.is_empty());
     }
-    assert_eq!(writer.counters.readers.load(Ordering::Relaxed), 200);
+    assert_eq!(writer.counters.readers.load(Ordering::Relaxed), 0);
     assert!(written_to(&participant, &writer).is_empty());
     let later = Instant::now() + Duration::from_secs(2);
     let out = participant.shared.tick(later);
@@ -339,6 +337,26 @@ fn samples_go_to_no_address_from_which_nothing_was_acknowledged() {
     take(&participant, participant_data(prefix).bytes());
     take(&participant, reader_data(prefix, 1, 1).bytes());
     assert!(written_to(&participant, &writer).is_empty());
+    // What it tells of its readers is not acknowledged yet: it would not tell it again.
+    let mut heartbeat = Message::new(prefix);
+    let told = Heartbeat {
+        first: 1,
+        last: 1,
+        count: 1,
+    };
+    heartbeat.heartbeat(wire::SUBSCRIPTIONS_READER, wire::SUBSCRIPTIONS_WRITER, told);
+    let out = take(&participant, heartbeat.bytes());
+    let [(_, asks)] = &out.messages[..] else {
+        panic!("{} messages", out.messages.len());
+    };
+    let mut asks = wire::read(asks.bytes(), prefix).unwrap();
+    assert!(matches!(
+        asks.next(),
+        Some(Submessage::Heartbeat {
+            writer: wire::PUBLICATIONS_WRITER,
+            ..
+        })
+    ));
     // What names nobody could come from anyone.
     let mut unnamed = Message::new(prefix);
     unnamed.acknack(
@@ -349,7 +367,13 @@ fn samples_go_to_no_address_from_which_nothing_was_acknowledged() {
     );
     take(&participant, unnamed.bytes());
     assert!(written_to(&participant, &writer).is_empty());
-    take(&participant, acknowledgement(prefix, &participant).bytes());
+    // Somebody else names its address.
+    let other = [251; 12];
+    take(&participant, participant_data(other).bytes());
+    take(&participant, reader_data(other, 1, 1).bytes());
+    let out = take(&participant, acknowledgement(prefix, &participant).bytes());
+    assert_eq!(out.messages.len(), 1, "its readers are acknowledged now");
+    assert_eq!(writer.counters.readers.load(Ordering::Relaxed), 1);
     let honest = SocketAddrV4::new(Ipv4Addr::LOCALHOST, 9);
     assert_eq!(written_to(&participant, &writer), [honest]);
 
@@ -384,8 +408,6 @@ fn a_host_with_two_addresses_is_reached_at_the_one_that_answers() {
     receive(&here, wireless);
     receive(&reader_data(prefix, 1, 1), wireless);
     receive(&acknowledgement(prefix, &participant), wired);
-    // It tells of its readers again.
-    receive(&reader_data(prefix, 1, 1), wired);
     let place = SocketAddrV4::new(wired, 9);
     assert_eq!(written_to(&participant, &writer), [place]);
     // What it says through the other one changes nothing.
