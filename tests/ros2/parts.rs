@@ -134,15 +134,25 @@ fn check_scan(clouds: &Clouds) {
         let [x, y, z] = [1.0 - axis(4), axis(0) - 0.5, axis(8) + 1.5];
         let direction = (y.atan2(x).to_degrees() + 180.0) * 2.0;
         let nearest = &mut expected[(direction as usize).min(DIRECTIONS - 1)];
-        let is_in = is_nonground && (-0.5..=2.0).contains(&z);
+        let is_in = (-0.5..=2.0).contains(&z);
+        // Where the beam leaves the band, as a part of its way.
+        let part = if is_in {
+            1.0
+        } else {
+            (if z > 2.0 { 0.5 } else { -2.0 }) / (z - 1.5)
+        };
+        let reach = (1.0 + part * (x - 1.0)).hypot(-0.5 + part * (y + 0.5));
         // The least of a number and NaN is the number.
-        *nearest = nearest.min(if is_in { x.hypot(y) } else { f32::INFINITY });
+        if is_in && is_nonground {
+            *nearest = nearest.min(x.hypot(y));
+        } else if reach >= 10.0 {
+            *nearest = nearest.min(f32::INFINITY);
+        }
     };
-    for point in points(clouds, "points") {
-        see(point, false);
-    }
-    for point in points(clouds, "nonground") {
-        see(point, true);
+    for topic in ["ground", "nonground"] {
+        for point in points(clouds, topic) {
+            see(point, topic == "nonground");
+        }
     }
     let ranges = clouds["scan"].chunks_exact(4);
     let ranges: Vec<f32> = ranges

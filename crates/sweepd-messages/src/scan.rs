@@ -3,9 +3,10 @@
 //!
 //! Returns that are not of the ground, from a band between two heights or of one beam. Each of
 //! [`DIRECTIONS`] has the distance of the nearest of them in the plane, and its reflectivity as
-//! intensity. A direction in which nothing of the band is, but something returned, is infinite; one in
-//! which nothing returned at all is NaN (REP 117): a beam that got no answer proves no free way. A sweep
-//! whose sensor does not see ([`flags::NOT_SEEING`]) has NaN everywhere.
+//! intensity. A direction without one is infinite only if a beam proves the way free: something else
+//! returned, and up to at least [`FREE_M`] the beam was within the band. All others are NaN (REP 117): a
+//! beam without an answer, or one that leaves the band nearby, proves nothing. A sweep whose sensor does not
+//! see ([`flags::NOT_SEEING`]) has NaN everywhere.
 //!
 //! Directions go from -pi to pi, against the clock, as REP 103 has them. The head turns the other
 //! way and begins elsewhere: `time_increment` is 0.
@@ -22,6 +23,10 @@ use crate::stamp::MessageHeader;
 /// Directions of a scan: half a degree each, so that each sensor looks into each of them at all its
 /// speeds.
 pub const DIRECTIONS: usize = 720;
+
+/// How far a beam must be within the band for its direction to be free, metres: as far as maps around
+/// small robots reach.
+pub const FREE_M: f32 = 10.0;
 
 /// The longest distance that a sensor of these models measures, metres.
 const RANGE_MAX_M: f32 = 300.0;
@@ -81,6 +86,7 @@ fn directions(sweep: &SweepRef<'_>, slice: Slice, pose: Option<&Pose>) -> [Direc
         return directions;
     }
     let from_sensor = Pose::ROS * pose.copied().unwrap_or(Pose::IDENTITY);
+    let sensor_m = from_sensor.position_m.map(|value| value as f32);
     let shots = Shots::of(sweep);
     let rows = sweep.rows();
     for column in 0..sweep.columns.len() {
@@ -100,33 +106,58 @@ fn directions(sweep: &SweepRef<'_>, slice: Slice, pose: Option<&Pose>) -> [Direc
                 returns.filter(|(range_m, ..)| is_return(*range_m))
             {
                 let shot = shots.of_firing(row, sweep.fired_in(row, column));
+                let band_m = match slice {
+                    Slice::Heights(band_m) => band_m,
+                    Slice::Ring(ring) if ring == shot.ring() => [f32::NEG_INFINITY, f32::INFINITY],
+                    Slice::Ring(_) => continue,
+                };
                 let [forward, left, up] = shot.point_m(range_m).map(f64::from);
-                let [x, y, z] = from_sensor
+                let point_m = from_sensor
                     .apply([-left, forward, up])
                     .map(|value| value as f32);
-                let turned = (y.atan2(x) + PI) / (2.0 * PI);
+                let is_obstacle = label != LABEL_GROUND && is_within(band_m, point_m[2]);
+                let distance_m = match is_obstacle {
+                    true => point_m[0].hypot(point_m[1]),
+                    false if reach_m(sensor_m, point_m, band_m) >= FREE_M => f32::INFINITY,
+                    false => continue,
+                };
+                let turned = (point_m[1].atan2(point_m[0]) + PI) / (2.0 * PI);
                 let direction = (turned * DIRECTIONS as f32) as usize;
                 let direction = &mut directions[direction.min(DIRECTIONS - 1)];
-                let is_in = match slice {
-                    Slice::Heights([low_m, high_m]) => (low_m..=high_m).contains(&z),
-                    Slice::Ring(ring) => shot.ring() == ring,
-                };
-                let distance_m = match is_in && label != LABEL_GROUND {
-                    true => x.hypot(y),
-                    false => f32::INFINITY,
-                };
                 if direction.distance_m.is_nan() || distance_m < direction.distance_m {
                     *direction = Direction {
                         distance_m,
-                        reflectivity: if distance_m.is_finite() {
-                            reflectivity
-                        } else {
-                            0
-                        },
+                        reflectivity: if is_obstacle { reflectivity } else { 0 },
                     };
                 }
             }
         }
     }
     directions
+}
+
+fn is_within([low_m, high_m]: [f32; 2], height_m: f32) -> bool {
+    (low_m..=high_m).contains(&height_m)
+}
+
+/// How far from the origin, in the plane, a beam from a sensor to a point is within a band; 0 where it never
+/// is.
+fn reach_m(sensor_m: [f32; 3], point_m: [f32; 3], band_m: [f32; 2]) -> f32 {
+    let [from_m, to_m] = [sensor_m[2], point_m[2]];
+    let is_in = is_within(band_m, to_m);
+    let limit_m = if to_m > band_m[1] {
+        band_m[1]
+    } else {
+        band_m[0]
+    };
+    // Where the beam leaves the band, as a part of its way.
+    let part = match is_in {
+        true => 1.0,
+        false => (limit_m - from_m) / (to_m - from_m),
+    };
+    if !(0.0..=1.0).contains(&part) {
+        return 0.0;
+    }
+    let [x, y] = [0, 1].map(|axis| sensor_m[axis] + part * (point_m[axis] - sensor_m[axis]));
+    x.hypot(y)
 }

@@ -8,14 +8,14 @@ use sweepd_client::client::{Client, ClientError, Domain, Sweep};
 use sweepd_client::host::realtime_ns;
 use sweepd_messages::cloud::{Cloud, Points};
 use sweepd_messages::message_type::{IMAGE, LASER_SCAN, MARKER_ARRAY, POINT_CLOUD};
-use sweepd_messages::{MessageHeader, MessageType, image, markers};
+use sweepd_messages::{MessageHeader, MessageType, Slice, image, markers};
 use sweepd_ros2::Publisher;
 use sweepd_sweep::Model;
 use sweepd_sweep::layout::flags;
 use sweepd_sweep::{Header, SweepRef};
 
 use crate::log;
-use crate::parameters::SensorParameters;
+use crate::parameters::{SCAN_HEIGHTS_M, SensorParameters};
 use crate::transforms::Transforms;
 
 /// Longest wait for a sweep, and so for the end of the program.
@@ -270,7 +270,10 @@ impl Bridge {
         let mut messages = Vec::new();
         for (topic, publisher) in Topic::ALL.into_iter().zip(&self.publishers) {
             if publisher.readers() > 0 {
-                self.seen.computed[topic as usize].fetch_add(1, Ordering::Relaxed);
+                let before = self.seen.computed[topic as usize].fetch_add(1, Ordering::Relaxed);
+                if topic == Topic::Scan && before == 0 {
+                    self.note_band(view.header);
+                }
                 let mut message = publisher.buffer();
                 topic.encode(&view, &self.parameters, &mut message);
                 messages.push((publisher, message));
@@ -307,6 +310,18 @@ impl Bridge {
             "{}: sweep {} is left out: it {what}; /diagnostics counts such sweeps",
             self.name, header.sequence
         ));
+    }
+
+    /// Warns where the default heights of a scan do not count from the robot.
+    fn note_band(&self, header: &Header) {
+        let is_default = self.parameters.slice == Slice::Heights(SCAN_HEIGHTS_M);
+        if is_default && !self.parameters.scans_for_robot(header) {
+            log::warn(format_args!(
+                "{}: the band of its scan, {SCAN_HEIGHTS_M:?} m, counts from the sensor, as no mount or no `base_frame` is \
+                 given: give the daemon a [sensor.mount], or `scan_heights`",
+                self.name
+            ));
+        }
     }
 
     fn note_silence(&self, client: &Client) {

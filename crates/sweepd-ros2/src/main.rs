@@ -214,7 +214,7 @@ impl Sensors<'_, '_> {
             let moves = |topic: &String| self.name.moves(remap, topic);
             if !self.name.is_renamed_by(remap) && !topics.iter().any(moves) {
                 log::warn(format_args!(
-                    "the rule `{}` renames nothing: the node is {}, its topics are {}",
+                    "the rule `{}` renames nothing so far: the node is {}, its topics are {}",
                     remap.rule,
                     self.name.full(),
                     topics.join(", ")

@@ -47,7 +47,7 @@ const OF_SENSOR: [&str; 9] = [
 ];
 /// Heights of the band of a scan, metres: from below the robot's frame, which may be that of its axles,
 /// to above its head.
-const SCAN_HEIGHTS_M: [f32; 2] = [-0.5, 2.0];
+pub const SCAN_HEIGHTS_M: [f32; 2] = [-0.5, 2.0];
 
 /// What the node does.
 #[derive(Clone, Debug, PartialEq)]
@@ -62,6 +62,8 @@ pub struct Parameters {
     pub base_frame: String,
     /// Sentences about what was given and means nothing here.
     pub ignored: Vec<String>,
+    /// Wrong values by the name before them: of a sensor, or of something of another node.
+    wrong: Vec<(String, ParameterError)>,
     of_all: Given,
     of_each: BTreeMap<String, Given>,
 }
@@ -134,6 +136,7 @@ impl Default for Parameters {
             health: DAEMON_HTTP.parse().ok(),
             base_frame: "base_link".to_owned(),
             ignored: Vec::new(),
+            wrong: Vec::new(),
             of_all: Given::default(),
             of_each: BTreeMap::new(),
         }
@@ -167,7 +170,20 @@ impl Parameters {
         if args.root.is_some() {
             parameters.root.clone_from(&args.root);
         }
+        parameters.judge_wrong()?;
         Ok(parameters)
+    }
+
+    /// A wrong value of a sensor that is named ends the node. Else it may be of another node, as in a file
+    /// for many: it is told.
+    fn judge_wrong(&mut self) -> Result<(), ParameterError> {
+        for (sensor, error) in std::mem::take(&mut self.wrong) {
+            if self.sensors.contains(&sensor) {
+                return Err(error);
+            }
+            self.ignored.push(error.to_string());
+        }
+        Ok(())
     }
 
     /// The parameters of a sensor.
@@ -265,10 +281,17 @@ impl Parameters {
                     self.ignore(name, &place(file, value.referenced));
                     Ok(())
                 }
-                Err(what) => Err(ParameterError {
-                    place: place(file, value.referenced),
-                    what: format!("`{name}`: {what}"),
-                }),
+                Err(what) => {
+                    let error = ParameterError {
+                        place: place(file, value.referenced),
+                        what: format!("`{name}`: {what}"),
+                    };
+                    let Some((sensor, _)) = name.rsplit_once('.') else {
+                        return Err(error);
+                    };
+                    self.wrong.push((sensor.to_owned(), error));
+                    Ok(())
+                }
             };
         };
         for (key, value) in pairs {
@@ -305,9 +328,7 @@ impl Parameters {
     /// Notes a parameter that means nothing here: in ROS, files and launch files are for many nodes.
     fn ignore(&mut self, name: &str, place: &str) {
         let what = match name.split_once('.') {
-            Some(("qos_overrides", _)) => {
-                "publishers stay RELIABLE, VOLATILE, KEEP_LAST 5".to_owned()
-            }
+            Some(("qos_overrides", _)) => "the qualities of publishers are fixed".to_owned(),
             Some(_) => format!("of a sensor are known {}", OF_SENSOR.join(", ")),
             None => format!("known are {}, {}", OF_NODE.join(", "), OF_SENSOR.join(", ")),
         };
@@ -327,14 +348,18 @@ impl SensorParameters {
         (is_complete || !self.only_complete) && measured >= self.min_columns
     }
 
-    /// Appends the scan of a sweep: a band of heights in the frame of the robot, where the daemon says where
-    /// the sensor sits, and a beam in the sensor's.
+    /// Whether a scan is in the frame of the robot: a band of heights, where the daemon says where the sensor
+    /// sits. Else it is in the sensor's.
+    pub fn scans_for_robot(&self, header: &Header) -> bool {
+        matches!(self.slice, Slice::Heights(_))
+            && Pose::of_mount(header).is_given()
+            && !self.base_frame.is_empty()
+    }
+
+    /// Appends the scan of a sweep.
     pub fn scan(&self, sweep: &SweepRef<'_>, message: &mut Vec<u8>) {
         let mount = Pose::of_mount(sweep.header);
-        let is_of_robot = matches!(self.slice, Slice::Heights(_))
-            && mount.is_given()
-            && !self.base_frame.is_empty();
-        let (pose, frame_id) = match is_of_robot {
+        let (pose, frame_id) = match self.scans_for_robot(sweep.header) {
             true => (Some(&mount), &self.base_frame),
             false => (None, &self.frame_id),
         };
@@ -606,6 +631,7 @@ mod tests {
         let mut parameters = Parameters::default();
         let parsed = parameters.parse(text, "ros2.yaml", &node());
         parsed
+            .and_then(|()| parameters.judge_wrong())
             .map_err(|error| error.to_string())
             .map(|()| parameters)
     }
@@ -769,7 +795,11 @@ mod tests {
                 3,
                 "expected a whole number from 0 on, not `-1`",
             ),
-            ("roof: {stamp: x}", 3, "expected first or last"),
+            (
+                "{sensors: [roof], roof: {stamp: x}}",
+                3,
+                "expected first or last",
+            ),
             ("stamp: {", 3, "unclosed bracket"),
         ] {
             let error =
@@ -814,7 +844,7 @@ mod tests {
             (
                 "/**:\n  ros__parameters: {qos_overrides: {/sweepd/roof/points: {publisher: {depth: 3}}}}",
                 "2",
-                "publishers stay RELIABLE",
+                "the qualities of publishers are fixed",
             ),
             (
                 "/camera:\n  ros__parameters: {}",
@@ -822,6 +852,11 @@ mod tests {
                 " nothing for the node /robot/sweepd, only for `/camera`",
             ),
             ("", "", " no parameters"),
+            (
+                "/**:\n  ros__parameters: {camera: {layout: rgb}}",
+                "2",
+                "`camera.layout`: expected xyzirt or autoware",
+            ),
         ] {
             let ignored = parse(text).unwrap().ignored;
             let begin = format!("ros2.yaml:{line}");

@@ -66,7 +66,7 @@ fn scan_of(scene: &Scene, slice: Slice, pose: Option<&Pose>) -> Vec<f32> {
 /// By hand: three beams, level and 0.1 rad above and below it, look ahead, to the right, back and to the
 /// left.
 #[test]
-fn a_scan_is_the_nearest_of_a_band_and_proves_nothing_where_nothing_returned() {
+fn a_scan_is_the_nearest_of_a_band_and_free_where_a_beam_proves_it() {
     let mut scene = Scene::new(3, 4, false);
     scene.fill(|sweep| {
         sweep.header.duration_ns = 100_000_000;
@@ -78,28 +78,31 @@ fn a_scan_is_the_nearest_of_a_band_and_proves_nothing_where_nothing_returned() {
             let azimuth_rad = quarter as f32 * std::f32::consts::FRAC_PI_2 + 0.001;
             *column = Column::measured(quarter as u64, 0, azimuth_rad, 0.0, 0);
         }
-        // Ahead: a wall, and a sign above the band. Right: ground alone. Back: nothing. Left: a post without
-        // a label before a wall.
+        // Ahead: a wall, and a sign above the band. Right: ground far away. Back: ground nearby. Left: a post
+        // without a label before a wall.
         sweep
             .range
-            .copy_from_slice(&[4.0, 10.0, 0.0, 0.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0, 8.0, 3.0]);
+            .copy_from_slice(&[4.0, 12.0, 0.0, 0.0, 0.0, 11.0, 0.0, 0.0, 5.0, 0.0, 8.0, 3.0]);
         sweep
             .label
-            .copy_from_slice(&[2, 2, 0, 0, 0, 1, 0, 0, 0, 0, 3, 0]);
+            .copy_from_slice(&[2, 2, 0, 0, 0, 1, 0, 0, 1, 0, 3, 0]);
         sweep.reflectivity.fill(7);
     });
     // Directions of half a degree from straight back on, against the clock.
     let [ahead, right, back, left] = [359, 179, 719, 539];
-    let of_band = scan_of(&scene, Slice::Heights([-1.0, 0.2]), None);
-    assert_eq!(of_band[ahead], 10.0);
+    let of_band = scan_of(&scene, Slice::Heights([-1.2, 0.2]), None);
+    assert_eq!(of_band[ahead], 12.0);
     assert_eq!(of_band[right], f32::INFINITY);
-    assert!(of_band[back].is_nan());
+    assert!(of_band[back].is_nan(), "free for 5 m alone");
     assert!((of_band[left] - 3.0 * 0.1_f32.cos()).abs() < 1e-6);
     assert_eq!(of_band.iter().filter(|range| range.is_nan()).count(), 717);
+    // The same beam is below the band from 9 m on.
+    let of_band = scan_of(&scene, Slice::Heights([-0.9, 0.2]), None);
+    assert!(of_band[right].is_nan());
 
     let of_beam = scan_of(&scene, Slice::Ring(1), None);
-    assert_eq!([of_beam[ahead], of_beam[left]], [10.0, 8.0]);
-    assert_eq!(of_beam[right], f32::INFINITY);
+    assert_eq!([of_beam[ahead], of_beam[left]], [12.0, 8.0]);
+    assert!(of_beam[right].is_nan(), "another beam returned");
 
     // A metre ahead of the robot's middle and a metre up, turned to the left by a quarter.
     let pose = Pose::mounted([0.0, 1.0, 1.0], [std::f32::consts::FRAC_PI_2, 0.0, 0.0]);
@@ -107,12 +110,12 @@ fn a_scan_is_the_nearest_of_a_band_and_proves_nothing_where_nothing_returned() {
     let nearest = of_robot.iter().filter(|range| range.is_finite()).count();
     assert_eq!(
         nearest, 2,
-        "the wall, which is on the left now, and the one behind"
+        "the wall, which is on the left now, and the post behind"
     );
-    let to_wall = of_robot.iter().copied().fold(f32::INFINITY, f32::min);
+    let to_post = of_robot.iter().copied().fold(f32::INFINITY, f32::min);
     assert!(
-        (to_wall - (3.0 * 0.1_f32.cos() - 1.0)).abs() < 1e-2,
-        "{to_wall}"
+        (to_post - (3.0 * 0.1_f32.cos() - 1.0)).abs() < 1e-2,
+        "{to_post}"
     );
 
     scene.fill(|sweep| sweep.header.flags = flags::BLIND);
