@@ -195,7 +195,7 @@ pub enum Remark {
     },
     /// Packets came twice.
     Duplicates(u64),
-    /// The kernel dropped datagrams of its port, though its own packets do not show a loss.
+    /// The kernel dropped datagrams of its port.
     Dropped {
         /// How many.
         dropped: u64,

@@ -204,7 +204,7 @@ pub struct Watcher {
     before: Observation,
     newest_data: Duration,
     newest_sweep: Duration,
-    /// Until when none came, the last time, or none that is decoded.
+    /// When packets that are decoded last began to come.
     begun: Duration,
     /// Whether it was logged that no packets come at all.
     has_hinted: bool,
@@ -442,6 +442,8 @@ impl Watcher {
         let mut told = std::mem::take(&mut self.told_remarks);
         let mut still = Vec::new();
         let mut messages = Vec::new();
+        // What a silent sensor sent before is no news.
+        let is_silent = matches!(self.state, State::Waiting | State::Stalled);
         for remark in &self.remarks {
             let Some(finding) = remark.finding().filter(Finding::is_trouble) else {
                 continue;
@@ -449,7 +451,8 @@ impl Watcher {
             let at = told.iter().position(|(one, _)| one.is_like(remark));
             let before = at.map(|at| told.swap_remove(at));
             let is_grave = (before.as_ref()).is_none_or(|(_, one)| finding.severity < one.severity);
-            if is_grave && !self.is_told_by_losses(remark) {
+            let is_news = is_grave && (!is_silent || remark.is_change());
+            if is_news && !self.is_told_by_losses(remark) {
                 messages.push(self.message(true, &finding.to_string()));
                 still.push((*remark, finding));
             } else {
@@ -820,7 +823,7 @@ fn first_turn() -> Finding {
 fn no_sweep() -> Finding {
     let what = "packets come and no whole turn at a steady speed";
     let cure = "does its head turn, and is its motor set?";
-    Finding::new(Severity::Error, Topic::Speed, what, cure)
+    Finding::new(Severity::Error, Topic::Speed, what, cure).asking()
 }
 
 #[cfg(test)]

@@ -153,10 +153,12 @@ fn is_data(bytes: &[u8]) -> bool {
     flag.is_some_and(|flag| FLAGS.contains(&flag))
 }
 
-/// Whether this is a position packet: it has the sentence of a receiver, or at least a stamp.
+/// Whether this is a position packet: it has the sentence of a receiver, or at least a stamp. Stamps begin
+/// anew a little after the hour.
 fn is_position(bytes: &[u8]) -> bool {
     Position::parse(bytes).is_ok_and(|position| {
         let has_sentence = position.nmea.is_some_and(|text| text.starts_with('$'));
-        has_sentence || bytes.starts_with(&ZEROS) && (1..HOUR_US).contains(&position.stamp_us)
+        has_sentence
+            || bytes.starts_with(&ZEROS) && (1..HOUR_US + 1_000_000).contains(&position.stamp_us)
     })
 }

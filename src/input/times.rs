@@ -13,6 +13,9 @@ pub(crate) const FIRST_NS: i64 = 631_152_000 * SECOND_NS;
 pub(super) const JUDGED_AFTER_US: i64 = 40_000;
 /// A longer step from packet to packet is a pause, which says nothing about times.
 const LONGEST_STEP_US: i64 = 20_000;
+/// A sensor pauses that long between two recordings; with a limited field of view it does so for less than a
+/// turn.
+const PAUSE_US: i64 = 1_000_000;
 /// A time that is so much earlier than the one before was set back, or is that of another recording.
 const BACK_NS: i64 = SECOND_NS / 2;
 const HOUR_NS: i64 = 3600 * SECOND_NS;
@@ -131,7 +134,7 @@ impl Judge {
         let off_ns = self.clock.at(stamp_us).saturating_sub(time_ns);
         let by_hours_ns = off_ns.saturating_add(BACK_NS) % HOUR_NS - BACK_NS;
         let is_by_hours = off_ns > HOUR_NS / 2 && by_hours_ns < BACK_NS;
-        step_us > LONGEST_STEP_US || is_by_hours
+        step_us > PAUSE_US || is_by_hours
     }
 
     /// Takes the next packet.

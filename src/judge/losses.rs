@@ -175,6 +175,7 @@ impl Recent {
         let Tally {
             data,
             refused,
+            malformed,
             dropped,
             strangers,
             ..
@@ -187,8 +188,8 @@ impl Recent {
         };
         let by_cause = [
             (self.absent() - here, Cause::Network),
-            (refused, Cause::NoPackets),
-            (self.counted.unfitting(), Cause::SecondSensor),
+            (refused + malformed, Cause::NoPackets),
+            (self.counted.unfitting() - malformed, Cause::SecondSensor),
             (here, host),
         ];
         // Of equal counts the last cause wins: the one that this host knows for certain.
@@ -228,6 +229,7 @@ impl Recent {
     pub fn what(&self, place: &SensorAddress) -> String {
         let Tally {
             refused,
+            malformed,
             dropped,
             strangers,
             ..
@@ -260,6 +262,11 @@ impl Recent {
                 format!(
                     "{}, as if two heads sent from {address} to {place}",
                     self.unfitting_by_reason()
+                )
+            }
+            Cause::NoPackets if malformed > refused => {
+                format!(
+                    "{malformed} packets from {address} to {place} have azimuths of no turning head"
                 )
             }
             Cause::NoPackets => {
@@ -310,14 +317,12 @@ impl Recent {
             late,
             unconfirmed,
             other_product,
-            malformed,
             ..
         } = self.counted;
         let by_reason = [
             (late, "behind stamps that came before"),
             (unconfirmed, "with a stamp that no neighbour confirms"),
             (other_product, "with the byte of another product"),
-            (malformed, "with azimuths of no turning head"),
         ];
         let told = by_reason.into_iter().filter(|&(packets, _)| packets > 0);
         told.map(|(packets, how)| format!("{packets} {how}"))

@@ -147,12 +147,17 @@ fn a_killed_recording_is_mended() {
 /// Records to a disk of the test's own, in a namespace of its own: how it ended, and what it said.
 /// The script runs meanwhile, with the name of the file as `$FILE` and its folder as `$DISK`; then
 /// its folder is listed, and the file copied, if there is one.
-fn record_to_disk(setup: &Setup, options: &str, meanwhile: &str) -> (String, String, Vec<String>) {
+fn record_to_disk(
+    setup: &Setup,
+    options: &str,
+    seconds: u32,
+    meanwhile: &str,
+) -> (String, String, Vec<String>) {
     let disk = setup.path("disk");
     fs::create_dir(&disk).unwrap();
     let script = format!(
         "mount -t tmpfs -o {options} none $DISK\n\
-         $PROGRAM record --from roof --root $ROOT --mcap $FILE --seconds 5 &\n\
+         $PROGRAM record --from roof --root $ROOT --mcap $FILE --seconds {seconds} &\n\
          {meanwhile}\n\
          wait $! && exit 9\n\
          ls $DISK\n\
@@ -183,7 +188,7 @@ fn a_full_disk_leaves_a_file_that_is_read_at_once() {
     let _daemon = setup.daemon();
     let _ = setup.client();
     let _sensor = setup.sensor("vlp16", 600, 30.0);
-    let (file, said, left) = record_to_disk(&setup, "size=4m", "");
+    let (file, said, left) = record_to_disk(&setup, "size=4m", 20, "");
     assert_eq!(left, ["roof.mcap"]);
     let expected = format!("error: cannot write {file}: No space left on device");
     assert!(said.contains(&expected), "{said}");
@@ -199,7 +204,8 @@ fn a_disk_that_takes_nothing_is_one_error() {
     let _daemon = setup.daemon();
     let _ = setup.client();
     let _sensor = setup.sensor("vlp16", 600, 60.0);
-    let gone = "until test -s $FILE.part; do sleep 0.1; done\numount -l $DISK";
+    let gone =
+        "for _ in $(seq 200); do test -s $FILE.part && break; sleep 0.1; done\numount -l $DISK";
     for (options, meanwhile, why) in [
         ("ro", "", "Read-only file system"),
         (
@@ -208,7 +214,7 @@ fn a_disk_that_takes_nothing_is_one_error() {
             "was removed or replaced while it was written",
         ),
     ] {
-        let (file, said, left) = record_to_disk(&setup, options, meanwhile);
+        let (file, said, left) = record_to_disk(&setup, options, 5, meanwhile);
         let errors: Vec<&str> = said.lines().filter(|line| line.contains("error")).collect();
         assert!(
             errors.len() == 1 && errors[0].contains(&file) && errors[0].contains(why),

@@ -38,7 +38,7 @@ impl<'a> PixelsByTime<'a> {
     pub(crate) fn of(sweep: SweepRef<'a>) -> Self {
         let offset_ns = |&row: &usize| sweep.beams[row].time_offset_ns;
         let mut rows: Vec<usize> = (0..sweep.rows()).collect();
-        // Each time is read once: a hostile publisher may write to them meanwhile.
+        // Sorting reads each time once: a hostile publisher may write to them meanwhile.
         rows.sort_by_cached_key(offset_ns);
         let [first_ns, last_ns] = [rows.first(), rows.last()].map(|row| row.map_or(0, offset_ns));
         let mut earliest_ns: Vec<u32> = sweep.columns.iter().map(|one| one.time_ns).collect();

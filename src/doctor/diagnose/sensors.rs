@@ -322,7 +322,12 @@ fn losses(sensor: &ObservedSensor, seen: &Observations) -> (Recent, SensorAddres
         {
             counted.received += received;
             counted.dropped += dropped;
-            counted.strangers += one.others().iter().map(|one| one.datagrams).sum::<u64>();
+            for other in one.others() {
+                match other.source.ip() == sensor.source.ip() {
+                    true => counted.refused += other.datagrams,
+                    false => counted.strangers += other.datagrams,
+                }
+            }
         }
     }
     let span = Duration::from_secs_f64(seen.seconds);

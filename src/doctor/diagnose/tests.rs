@@ -875,7 +875,7 @@ fn losses_have_the_right_cause() {
         |seen| seen.sensors[0].counts.malformed = 2,
         Severity::Warning,
         Topic::Loss,
-        &["2 with azimuths of no turning head"],
+        &["2 packets from", "have azimuths of no turning head"],
     );
 }
 

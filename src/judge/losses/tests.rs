@@ -83,7 +83,16 @@ fn the_cause_follows_from_what_was_counted() {
                 ..Tally::default()
             },
             Cause::SecondSensor,
-            "900 with the byte of another product, 7 with azimuths of no turning head, as if",
+            "900 with the byte of another product, as if",
+        ),
+        (
+            Tally {
+                data,
+                malformed: 900,
+                ..Tally::default()
+            },
+            Cause::NoPackets,
+            "900 packets from 10.0.0.5 to port 2368 have azimuths of no turning head",
         ),
         (
             Tally {
