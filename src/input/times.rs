@@ -105,6 +105,8 @@ pub(super) struct Judge {
     /// Packets, and of them those in a row up to now that are too early.
     packets: u64,
     early: u32,
+    /// No time has gone on yet since the recording began.
+    is_fresh: bool,
 }
 
 impl Judge {
@@ -118,6 +120,7 @@ impl Judge {
             stuck_us: 0,
             packets: 0,
             early: 0,
+            is_fresh: true,
         }
     }
 
@@ -126,9 +129,10 @@ impl Judge {
     }
 
     /// Whether this is the first packet of an earlier recording, joined behind the one before: the
-    /// sensor paused, or its stamps, which count within the hour, go back by the same time.
+    /// sensor paused, or its stamps, which count within the hour, go back by the same time. Times that go
+    /// back again and again are none.
     fn is_another(&self, time_ns: i64, step_us: i64, stamp_us: u32) -> bool {
-        if !self.is_back(time_ns) {
+        if self.is_fresh || !self.is_back(time_ns) {
             return false;
         }
         let off_ns = self.clock.at(stamp_us).saturating_sub(time_ns);
@@ -143,7 +147,9 @@ impl Judge {
         let next = SensorClock::new(time_ns, stamp_us);
         let before = std::mem::replace(&mut self.last, next);
         let is_next = (-LATE_US..=LONGEST_US).contains(&step_us);
-        if !is_next || self.is_another(time_ns, step_us, stamp_us) {
+        let is_another = self.is_another(time_ns, step_us, stamp_us);
+        if !is_next || is_another {
+            self.is_fresh = true;
             self.clock = next;
             (self.stuck_us, self.early) = (0, 0);
             return Verdict::Good;
@@ -163,7 +169,7 @@ impl Judge {
         self.passed_us += passed_us;
         if steady.time_ns > self.clock.time_ns && steady.time_ns % SECOND_NS != 0 {
             self.clock = steady;
-            self.stuck_us = 0;
+            (self.stuck_us, self.is_fresh) = (0, false);
         } else {
             self.stuck_us += passed_us;
         }
