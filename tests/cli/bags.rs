@@ -58,6 +58,7 @@ fn replayed(
     let name = format!("\"name\":\"{}\"", capture.display());
     let lines = (ran.stderr + &ran.stdout).replace(sensor, "SENSOR");
     let lines = lines.replace(&name, "NAME");
+    let lines = lines.replace(&out.path().display().to_string(), "OUT");
     let mut all = BTreeMap::new();
     for folder in &folders {
         for entry in fs::read_dir(folder).unwrap() {

@@ -21,10 +21,14 @@ const TOPICS: [&str; 2] = ["/sweepd/roof/points", "/sweepd/front/points"];
 const QUALITIES: [&str; 2] = ["best_effort", "reliable"];
 
 /// As rclpy announces the types.
-const HASHES: [(&str, &str); 4] = [
+const HASHES: [(&str, &str); 5] = [
     (
         "sensor_msgs/msg/PointCloud2",
         "RIHS01_9198cabf7da3796ae6fe19c4cb3bdd3525492988c70522628af5daa124bae2b5",
+    ),
+    (
+        "sensor_msgs/msg/LaserScan",
+        "RIHS01_64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828",
     ),
     (
         "sensor_msgs/msg/Image",
