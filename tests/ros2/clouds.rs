@@ -406,7 +406,7 @@ fn check_graph(graph: &Value) {
 fn check_old_graph(graph: &Value) {
     assert_eq!(graph["nodes"], json!(["/sweepd"]));
     let writers = graph["writers"].as_array().unwrap();
-    assert_eq!(writers.len(), 16, "{writers:?}");
+    assert_eq!(writers.len(), 18, "{writers:?}");
     let participant = graph["participant"].as_str().unwrap();
     assert!(
         participant.ends_with("000001c10000000000000000"),
