@@ -26,14 +26,14 @@ fn said(output: &Output) -> String {
 fn what_is_wrong_is_one_line_and_an_exit_code() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("ros2.yaml");
-    std::fs::write(&file, "/**:\n  ros__parameters:\n    stmap: last\n").unwrap();
+    std::fs::write(&file, "/**:\n  ros__parameters:\n    stamp: middle\n").unwrap();
     let file = file.to_str().unwrap();
     for (dds_domain, words, code, part) in [
         (
             "140",
             &["--parameters", file][..],
             78,
-            "ros2.yaml:3: unknown parameter `stmap`; known are sensors",
+            "ros2.yaml:3: `stamp`: expected first or last",
         ),
         (
             "140",
@@ -62,8 +62,8 @@ fn what_is_wrong_is_one_line_and_an_exit_code() {
         (
             "140",
             &["roof", "--ros-args", "-r", "~/roof/points:=/a-b"],
-            78,
-            "`/a-b` is no name of a topic",
+            2,
+            "expected [NODE:]NAME:=NAME with names of ROS, not `~/roof/points:=/a-b`",
         ),
         ("140", &["a/b"], 2, "a sensor's name has letters, digits"),
         ("nine", &[], 78, "ROS_DOMAIN_ID is `nine`"),
