@@ -195,6 +195,11 @@ impl Peer {
     fn send(&mut self, to: SocketAddrV4, kind: u8, flags: u8, body: &[u8]) {
         let mut message = b"RTPS\x02\x03\x01\x10".to_vec();
         message.extend(self.prefix);
+        // INFO_DST: what answers names who is to get it.
+        if let Some((_, other)) = self.other.filter(|(address, _)| *address == to) {
+            message.extend([0x0e, 1, 12, 0]);
+            message.extend(other);
+        }
         message.extend([kind, flags | 1]);
         message.extend((body.len() as u16).to_le_bytes());
         message.extend(body);
@@ -218,6 +223,8 @@ impl Peer {
         body.extend([0, 3, 0, 0]);
         parameter(&mut body, 0x32, &locator);
         parameter(&mut body, 0x31, &locator);
+        // As long as that of a real participant, with its names and properties.
+        parameter(&mut body, 0x62, &text(&"peer".repeat(75)));
         parameter(&mut body, 1, &[]);
         for index in 0..4 {
             let port = 7410 + 250 * self.domain + 2 * index;
