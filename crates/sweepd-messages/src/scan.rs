@@ -4,7 +4,7 @@
 //! Returns that are not of the ground, from a band between two heights or of one beam. Each of
 //! [`DIRECTIONS`] has the distance of the nearest of them in the plane, and its reflectivity as
 //! intensity. A direction without one is infinite only if a beam proves the way free: something else
-//! returned, and up to at least [`FREE_M`] the beam was within the band. All others are NaN (REP 117): a
+//! returned, and from the sensor up to at least [`FREE_M`] the beam was within the band. All others are NaN (REP 117): a
 //! beam without an answer, or one that leaves the band nearby, proves nothing. A sweep whose sensor does not
 //! see ([`flags::NOT_SEEING`]) has NaN everywhere.
 //!
@@ -140,10 +140,14 @@ fn is_within([low_m, high_m]: [f32; 2], height_m: f32) -> bool {
     (low_m..=high_m).contains(&height_m)
 }
 
-/// How far from the origin, in the plane, a beam from a sensor to a point is within a band; 0 where it never
-/// is.
+/// How far from the origin, in the plane, a beam from a sensor to a point is within a band from its
+/// beginning on; 0 where it does not begin there.
 fn reach_m(sensor_m: [f32; 3], point_m: [f32; 3], band_m: [f32; 2]) -> f32 {
     let [from_m, to_m] = [sensor_m[2], point_m[2]];
+    // It may have passed over what is near.
+    if !is_within(band_m, from_m) {
+        return 0.0;
+    }
     let is_in = is_within(band_m, to_m);
     let limit_m = if to_m > band_m[1] {
         band_m[1]

@@ -556,9 +556,28 @@ fn drops_are_logged_as_they_begin_rise_and_end_however_the_losses_tell_them() {
         assert_eq!(times, usize::from(dropped > 0), "{complaint}");
     }
     let [one, none, over] = [vec![false], Vec::new(), vec![true]];
-    // The losses are told once, when they begin.
-    let losses = vec![false; told[3].len().clamp(1, 2)];
+    // The losses are told as a warning, and as a fault.
+    let losses = vec![false; 2];
     assert_eq!(told, [none.clone(), one.clone(), one, losses, none, over]);
+}
+
+#[test]
+fn silence_does_not_tell_the_drops_before_it() {
+    let mut roof = Watched::new(None);
+    for _ in 0..100 {
+        roof.seen.tally.received += 75;
+        roof.seen.tally.data += 45;
+        roof.seen.tally.dropped += 30;
+        roof.seen.tally.lost += 30;
+        roof.observe(1, 75, 1);
+    }
+    assert!(roof.watcher.complaint().unwrap().contains("kernel dropped"));
+    let mut told = roof.observe(50, 0, 0);
+    told.extend(roof.observe(50, 75, 1));
+    assert!(
+        told.iter().all(|text| !text.contains("kernel dropped")),
+        "{told:?}"
+    );
 }
 
 #[test]

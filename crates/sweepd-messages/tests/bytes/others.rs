@@ -100,6 +100,10 @@ fn a_scan_is_the_nearest_of_a_band_and_free_where_a_beam_proves_it() {
     let of_band = scan_of(&scene, Slice::Heights([-0.9, 0.2]), None);
     assert!(of_band[right].is_nan());
 
+    // The sensor is above the band: the beam may have passed over what is near.
+    let of_band = scan_of(&scene, Slice::Heights([-2.0, -0.5]), None);
+    assert!(of_band[right].is_nan());
+
     let of_beam = scan_of(&scene, Slice::Ring(1), None);
     assert_eq!([of_beam[ahead], of_beam[left]], [12.0, 8.0]);
     assert!(of_beam[right].is_nan(), "another beam returned");

@@ -129,9 +129,7 @@ impl ParticipantData {
             lease,
         })
     }
-}
 
-impl ParticipantData {
     /// Whether what comes from an address comes from where it hears of others.
     fn is_at(&self, source: Ipv4Addr, own: &OwnAddresses) -> bool {
         match self.meta.near {

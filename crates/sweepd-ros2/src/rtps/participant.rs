@@ -239,7 +239,7 @@ impl Drop for Participant {
 }
 
 /// A delivery that found no room.
-fn rest_of(error: TrySendError<Delivery>) -> Delivery {
+fn refused(error: TrySendError<Delivery>) -> Delivery {
     match error {
         TrySendError::Full(delivery) | TrySendError::Disconnected(delivery) => delivery,
     }
@@ -396,24 +396,26 @@ impl Shared {
     fn go_on_behind(&self, deliveries: Vec<Delivery>) {
         for delivery in deliveries {
             let is_far = !delivery.link.place.near;
+            // Counted before it is sent: its end may be counted at once.
+            let of_far = self
+                .far_behind
+                .fetch_add(usize::from(is_far), Ordering::Relaxed);
             // Half of the room is for this host.
-            let has_room = !is_far || self.far_behind.load(Ordering::Relaxed) < MAX_BEHIND / 2;
+            let has_room = !is_far || of_far < MAX_BEHIND / 2;
             let refused = match lock(&self.behind).as_ref().filter(|_| has_room) {
-                Some(behind) => behind.try_send(delivery).err().map(rest_of),
+                Some(behind) => behind.try_send(delivery).err().map(refused),
                 None => Some(delivery),
             };
-            match refused {
-                None if is_far => {
-                    self.far_behind.fetch_add(1, Ordering::Relaxed);
+            let Some(refused) = refused else {
+                continue;
+            };
+            self.ended_behind(&refused);
+            // Of a repair, the reader asks again.
+            if refused.kind == Kind::Rest {
+                let mut state = lock(&self.state);
+                if let Some((_, writer)) = state.writers.get_mut(&refused.writer.entity) {
+                    writer.lost(&refused.link);
                 }
-                // A reliable reader asks for it again.
-                Some(refused) if refused.kind == Kind::Rest => {
-                    let mut state = lock(&self.state);
-                    if let Some((_, writer)) = state.writers.get_mut(&refused.writer.entity) {
-                        writer.lost(&refused.link);
-                    }
-                }
-                None | Some(_) => {}
             }
         }
     }

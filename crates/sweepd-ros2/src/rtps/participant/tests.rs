@@ -12,9 +12,14 @@ const TYPE: &str = "sensor_msgs::msg::dds_::PointCloud2_";
 
 /// A participant that hears nothing but what a test gives it, with samples 3 to 7 of a topic.
 fn deaf(domain: u16) -> (Participant, WriterHandle) {
+    deaf_within(domain, DiscoveryRange::Localhost)
+}
+
+/// The same with another range.
+fn deaf_within(domain: u16, range: DiscoveryRange) -> (Participant, WriterHandle) {
     let environment = Environment {
         domain,
-        range: DiscoveryRange::Localhost,
+        range,
         static_peers: vec![],
     };
     let participant = Participant {
@@ -384,22 +389,7 @@ fn samples_go_to_no_address_from_which_nothing_was_acknowledged() {
 
 #[test]
 fn a_host_with_two_addresses_is_reached_at_the_one_that_answers() {
-    let environment = Environment {
-        domain: 215,
-        range: DiscoveryRange::Subnet,
-        static_peers: vec![],
-    };
-    let participant = Participant {
-        shared: Arc::new(Shared::open(&environment, "test", "/").unwrap()),
-        threads: Mutex::default(),
-    };
-    let writer = participant.add_writer(Offer {
-        topic: TOPIC.to_owned(),
-        type_name: TYPE.to_owned(),
-        type_hash: "RIHS01_0",
-        transient_local: true,
-        depth: 1,
-    });
+    let (participant, writer) = deaf_within(215, DiscoveryRange::Subnet);
     let wired = Ipv4Addr::new(198, 51, 100, 7);
     let wireless = Ipv4Addr::new(203, 0, 113, 7);
     let prefix = [7; 12];
