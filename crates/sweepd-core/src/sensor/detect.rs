@@ -574,7 +574,7 @@ impl Intervals {
         tick_us
     }
 
-    /// Whether they show a coarse tick, and not a period that is a multiple of it: then all are alike.
+    /// Whether they are multiples of a coarse tick. Where all are alike, they may be a period.
     fn are_coarse(&self) -> bool {
         let are_alike = self.us().iter().all(|&us| us == self.us[0]);
         self.len >= MANY && !are_alike && self.tick_us() >= COARSE_US
