@@ -1,6 +1,7 @@
 //! Captures in all their forms, with one sensor or several.
 
 use crate::{Folder, fixture, made, replay, sweepd, sweepd_with_stdin, sweeps};
+use serde_json::Value;
 use sweepd::wire::position::{Position, Pps};
 
 #[test]
@@ -149,32 +150,19 @@ fn other_traffic_is_counted_and_passed_over() {
     );
 }
 
-/// What people have of a drive, without times or without records, gives the same sweeps, 100 ms
-/// apart, and one warning.
-#[test]
-fn bare_packets_and_times_that_are_none_give_the_same_sweeps() {
-    let folder = Folder::new("times");
-    let datagrams = made::vlp16();
-    let turns = |stdout: &str| -> Vec<(String, i64)> {
-        let lines = sweeps(stdout).into_iter();
-        let lines = lines.filter(|line| line["partial"] == false);
-        lines
-            .map(|line| {
-                (
-                    line["returns"].to_string(),
-                    line["time_ns"].as_i64().unwrap(),
-                )
-            })
-            .collect()
+/// The returns and the time of each whole turn.
+fn turns(stdout: &str) -> Vec<(String, i64)> {
+    let mut lines = sweeps(stdout);
+    lines.retain(|line| line["partial"] == false);
+    let turn = |line: &Value| {
+        let time_ns = line["time_ns"].as_i64().unwrap();
+        (line["returns"].to_string(), time_ns)
     };
-    let path = folder.write("right.pcap", made::pcap(&datagrams));
-    let expected = turns(&replay(&path, &["--json"]).done());
-    assert_eq!(expected.len(), 3);
-    let mut frozen = datagrams.clone();
-    for sent in &mut frozen {
-        sent.arrival_ns = datagrams[0].arrival_ns;
-    }
-    // Positions before and between them are no damage, nor is the date of a receiver a warning.
+    lines.iter().map(turn).collect()
+}
+
+/// The bare packets, with positions before and between them: no damage, nor is their date a warning.
+fn bare(datagrams: &[made::Sent]) -> Vec<u8> {
     let mut position = Position {
         stamp_us: 0,
         pps: Pps::Locked,
@@ -192,6 +180,22 @@ fn bare_packets_and_times_that_are_none_give_the_same_sweeps() {
         bare.extend(position.emit());
         bare.extend(&sent.payload);
         position.nmea = None;
+    }
+    bare
+}
+
+/// What people have of a drive, without times or without records, gives the same sweeps, 100 ms
+/// apart, and one warning.
+#[test]
+fn bare_packets_and_times_that_are_none_give_the_same_sweeps() {
+    let folder = Folder::new("times");
+    let datagrams = made::vlp16();
+    let path = folder.write("right.pcap", made::pcap(&datagrams));
+    let expected = turns(&replay(&path, &["--json"]).done());
+    assert_eq!(expected.len(), 3);
+    let mut frozen = datagrams.clone();
+    for sent in &mut frozen {
+        sent.arrival_ns = datagrams[0].arrival_ns;
     }
     // All commands say so, whatever else is wrong for them.
     let path = folder.write("frozen.pcap", made::pcap(&frozen));
@@ -212,7 +216,11 @@ fn bare_packets_and_times_that_are_none_give_the_same_sweeps() {
             made::pcap(&frozen),
             "frozen.pcap: times of its records stand still",
         ),
-        ("bare.raw", bare, "bare.raw: bare packets have no times"),
+        (
+            "bare.raw",
+            bare(&datagrams),
+            "bare.raw: bare packets have no times",
+        ),
     ] {
         let ran = replay(&folder.write(name, &bytes), &["--json"]);
         let warnings: Vec<&str> = ran.stderr.lines().collect();

@@ -39,130 +39,171 @@ impl Drop for Program {
     }
 }
 
+/// A configuration and what programs write, in the folder of the domain.
+struct Robot {
+    own: TempDomain,
+    http: SocketAddr,
+}
+
+impl Robot {
+    /// The sensors are lines of TOML.
+    fn new(sensors: &str) -> Self {
+        let own = temp_domain();
+        std::fs::create_dir_all(own.root()).unwrap();
+        let http = SocketAddr::from((LOCAL, free_port()));
+        let text = format!("http = \"{http}\"\n{sensors}");
+        std::fs::write(own.root().join("sweepd.toml"), text).unwrap();
+        Self { own, http }
+    }
+
+    fn config(&self) -> String {
+        self.own.root().join("sweepd.toml").display().to_string()
+    }
+
+    fn daemon(&self) -> Program {
+        self.start(&["run", "--config", &self.config()], "daemon")
+    }
+
+    /// Starts a program, and writes what it says and tells to `NAME.out` and `NAME.log`.
+    fn start(&self, args: &[&str], name: &str) -> Program {
+        let file =
+            |ending| std::fs::File::create(self.own.root().join(name).with_extension(ending));
+        let [out, log] = ["out", "log"].map(|ending| Stdio::from(file(ending).unwrap()));
+        Program::start(args, &self.own, out, log)
+    }
+
+    fn read(&self, name: &str) -> String {
+        std::fs::read_to_string(self.own.root().join(name)).unwrap()
+    }
+
+    fn health(&self) -> Value {
+        health::ask(self.http).unwrap_or_default()
+    }
+
+    /// Waits until a file has these words.
+    fn wait_for(&self, name: &str, words: &str) {
+        until(25, || match self.read(name).contains(words) {
+            true => Ok(()),
+            false => Err(format!("{name} lacks `{words}`")),
+        });
+    }
+}
+
+/// A sensor of this name and address, whose data and position packets come to one port.
+fn sensor(name: &str, address: &str, port: u16) -> String {
+    format!(
+        "[[sensor]]\nname = \"{name}\"\naddress = \"{address}\"\nbind = \"127.0.0.1\"\nport = {port}\n\
+         position_port = {port}\n"
+    )
+}
+
+/// Waits until that is so, at most so many seconds; else it says what is wrong.
+#[track_caller]
+fn until(seconds: u64, mut is_so: impl FnMut() -> Result<(), String>) {
+    let begun = Instant::now();
+    while let Err(what) = is_so() {
+        assert!(begun.elapsed() < Duration::from_secs(seconds), "{what}");
+        std::thread::sleep(Duration::from_millis(100));
+    }
+}
+
+/// What `sweepd doctor --json` finds.
+fn doctor(args: &[&str]) -> Vec<Value> {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sweepd"));
+    let done = command.args(["doctor", "--json"]).args(args).output();
+    let report: Value = serde_json::from_slice(&done.unwrap().stdout).unwrap();
+    report["findings"].as_array().unwrap().clone()
+}
+
+/// What it finds wrong with ports and sensors, beside a daemon.
+fn doctor_beside(robot: &Robot, ports: [u16; 2]) -> Vec<Value> {
+    let (ports, health) = (ports.map(|port| port.to_string()), robot.http.to_string());
+    let mut findings = doctor(&[
+        "--bind",
+        "127.0.0.1",
+        "--no-web",
+        "--seconds",
+        "0.2",
+        "--health",
+        &health,
+        "--port",
+        &ports[0],
+        "--port",
+        &ports[1],
+    ]);
+    let of_host = |topic: &Value| topic == "buffer" || topic == "shared-memory";
+    findings.retain(|one| one["severity"] != "note" && !of_host(&one["topic"]));
+    findings
+}
+
+/// Whether one of the findings has these words.
+fn tell(findings: &[Value], words: &str) -> bool {
+    let has = |one: &Value| {
+        one["what"]
+            .as_str()
+            .is_some_and(|what| what.contains(words))
+    };
+    findings.iter().any(has)
+}
+
 /// Beside a daemon with one sensor, which loses three packets of ten for 8 s and then none: the
 /// doctor, and a consumer.
 #[test]
 fn beside_a_daemon_the_doctor_and_watch_say_how_it_is_now() {
-    let own = temp_domain();
-    std::fs::create_dir_all(own.root()).unwrap();
-    let port = free_port();
-    let other = free_port();
-    let http = free_port();
-    let (file, notes) = (own.root().join("sweepd.toml"), own.root().join("watch.log"));
-    let text = format!(
-        "http = \"127.0.0.1:{http}\"\n[[sensor]]\nname = \"roof\"\naddress = \"127.0.0.1\"\nbind = \"127.0.0.1\"\n\
-         port = {port}\nposition_port = {port}\n"
-    );
-    std::fs::write(&file, text).unwrap();
-    let _daemon = Program::start(
-        &["run", "--config", file.to_str().unwrap()],
-        &own,
-        Stdio::null(),
-        Stdio::null(),
-    );
-    let stderr = std::fs::File::create(&notes).unwrap();
-    let sweeps = own.root().join("sweeps.jsonl");
-    let stdout = std::fs::File::create(&sweeps).unwrap();
-    let watch = Program::start(
-        &["watch", "roof", "--json", "--no-timing"],
-        &own,
-        stdout.into(),
-        stderr.into(),
-    );
+    let ports = [free_port(), free_port()];
+    let robot = Robot::new(&sensor("roof", "127.0.0.1", ports[0]));
+    let _daemon = robot.daemon();
+    let watch = robot.start(&["watch", "roof", "--json", "--no-timing"], "watch");
     let (mut rng, mut stream) = (fastrand::Rng::with_seed(3), vlp16(30.0));
     let lossy = Duration::from_secs(8);
     stream.retain(|(after, payload)| payload.len() != 1206 || *after >= lossy || rng.u8(..10) >= 3);
-    let (ports, health) = (
-        [port, other].map(|port| port.to_string()),
-        format!("127.0.0.1:{http}"),
-    );
-    let doctor = || {
-        let args = [
-            "doctor",
-            "--bind",
-            "127.0.0.1",
-            "--no-web",
-            "--json",
-            "--seconds",
-            "0.2",
-            "--health",
-            &health,
-        ];
-        let named = ["--port", &ports[0], "--port", &ports[1]];
-        let done = Command::new(env!("CARGO_BIN_EXE_sweepd"))
-            .args(args)
-            .args(named)
-            .output()
-            .unwrap();
-        let report: Value = serde_json::from_slice(&done.stdout).unwrap();
-        let findings: Vec<Value> = report["findings"].as_array().unwrap().clone();
-        let of_host = |topic: &Value| topic == "buffer" || topic == "shared-memory";
-        findings
-            .into_iter()
-            .filter(|one| one["severity"] != "note" && !of_host(&one["topic"]))
-            .collect::<Vec<_>>()
-    };
-    let lines = |words: &str| {
-        std::fs::read_to_string(&notes)
-            .unwrap()
-            .lines()
-            .filter(|line| line.contains(words))
-            .count()
-    };
     let over = AtomicBool::new(false);
     std::thread::scope(|scope| {
         // Whatever fails ends it.
-        let ends = Ends(&over);
-        let begun = Instant::now();
+        let _ends = Ends(&over);
         // Without a daemon, silence is of a port.
-        while doctor()
-            .iter()
-            .all(|one| !one["what"].to_string().contains("roof: "))
-        {
-            let waited = begun.elapsed();
-            assert!(waited < Duration::from_secs(30), "the daemon has no port");
-            std::thread::sleep(Duration::from_millis(100));
-        }
-        scope.spawn(|| send(&stream, LOCAL, &[port], &over));
-        let begun = Instant::now();
-        let mut told = Vec::new();
-        while !told
-            .iter()
-            .any(|one: &Value| one["what"].to_string().contains(" % of its packets"))
-        {
-            assert!(begun.elapsed() < lossy, "{told:#?}");
-            told = doctor();
-        }
-        let [only] = &told[..] else {
-            panic!("{told:#?}")
-        };
-        assert_eq!(
-            (&only["severity"], &only["topic"]),
-            (&json!("error"), &json!("loss"))
-        );
-        assert!(
-            only["what"]
-                .as_str()
-                .unwrap()
-                .contains("whose kernel dropped none"),
-            "{only}"
-        );
-        // Some thousand packets have been lost by now, and none of late.
-        while !told.is_empty() {
-            assert!(begun.elapsed() < Duration::from_secs(25), "{told:#?}");
-            std::thread::sleep(Duration::from_millis(200));
-            told = doctor();
-        }
-        while lines("its losses are over") == 0 {
-            assert!(
-                begun.elapsed() < Duration::from_secs(25),
-                "watch does not say that it is over"
-            );
-            std::thread::sleep(Duration::from_millis(100));
-        }
-        drop(ends);
+        until(30, || match tell(&doctor_beside(&robot, ports), "roof: ") {
+            true => Ok(()),
+            false => Err("the daemon has no port".to_owned()),
+        });
+        scope.spawn(|| send(&stream, LOCAL, &ports[..1], &over));
+        losses_begin_and_end(&robot, ports, lossy);
+        robot.wait_for("watch.log", "its losses are over");
     });
     drop(watch);
+    watch_told(&robot);
+}
+
+/// The doctor beside a daemon tells losses while they last.
+fn losses_begin_and_end(robot: &Robot, ports: [u16; 2], lossy: Duration) {
+    let mut told = Vec::new();
+    until(lossy.as_secs(), || {
+        told = doctor_beside(robot, ports);
+        match tell(&told, " % of its packets") {
+            true => Ok(()),
+            false => Err(format!("{told:#?}")),
+        }
+    });
+    let [only] = &told[..] else {
+        panic!("{told:#?}")
+    };
+    assert_eq!(
+        (&only["severity"], &only["topic"]),
+        (&json!("error"), &json!("loss"))
+    );
+    assert!(tell(&told, "whose kernel dropped none"), "{only}");
+    // Some thousand packets have been lost by now, and none of late.
+    until(25, || match &doctor_beside(robot, ports)[..] {
+        [] => Ok(()),
+        told => Err(format!("{told:#?}")),
+    });
+}
+
+/// `watch` has told the losses once, and once that they are over; who comes later is told how old the
+/// newest sweep is.
+fn watch_told(robot: &Robot) {
+    let log = robot.read("watch.log");
+    let lines = |words: &str| log.lines().filter(|line| line.contains(words)).count();
     assert_eq!(
         (
             lines(" % of its packets are lost"),
@@ -171,60 +212,29 @@ fn beside_a_daemon_the_doctor_and_watch_say_how_it_is_now() {
         ),
         (2, 1, 1)
     );
-    let sweeps = std::fs::read_to_string(&sweeps).unwrap();
-    // The last one may have been cut off.
-    let whole: Vec<&str> = sweeps
+    // The last line may have been cut off.
+    let sweeps = robot.read("watch.out");
+    let whole = sweeps
         .split_inclusive('\n')
-        .filter(|line| line.ends_with('\n'))
-        .collect();
-    assert!(whole.len() > 50);
-    // The newest sweep stays shared: who comes later is told how old it is.
+        .filter(|line| line.ends_with('\n'));
+    let read = whole.map(|line| serde_json::from_str::<Value>(line).unwrap());
+    assert!(read.count() > 50);
+    // The newest sweep stays shared.
     std::thread::sleep(Duration::from_millis(2_500));
-    let late = own.root().join("late.log");
-    let stderr = std::fs::File::create(&late).unwrap();
-    let _watch = Program::start(&["watch", "roof"], &own, Stdio::null(), stderr.into());
-    let begun = Instant::now();
-    while !std::fs::read_to_string(&late)
-        .unwrap()
-        .contains("s old: the sensor does not send")
-    {
-        assert!(
-            begun.elapsed() < Duration::from_secs(20),
-            "watch says nothing"
-        );
-        std::thread::sleep(Duration::from_millis(100));
-    }
-    whole
-        .iter()
-        .for_each(|line| drop(serde_json::from_str::<Value>(line).unwrap()));
+    let _watch = robot.start(&["watch", "roof"], "late");
+    robot.wait_for("late.log", "s old: the sensor does not send");
 }
 
 /// Two sensors that send nothing: for the one comes another Velodyne, from the address of the other
 /// a LiDAR of another maker. The log, /health and the doctor beside the daemon tell who sends.
 #[test]
 fn who_sends_in_place_of_a_sensor_is_told_by_the_daemon_and_beside_it() {
-    let own = temp_domain();
-    std::fs::create_dir_all(own.root()).unwrap();
-    let [roof, rear, http] = [(); 3].map(|()| free_port());
-    let file = own.root().join("sweepd.toml");
-    let notes = own.root().join("daemon.log");
-    let sensor = |name: &str, address: &str, port: u16| {
-        format!(
-            "[[sensor]]\nname = \"{name}\"\naddress = \"{address}\"\nbind = \"127.0.0.1\"\nport = {port}\nposition_port = {port}\n"
-        )
-    };
-    let text = format!(
-        "http = \"127.0.0.1:{http}\"\n{}{}",
-        sensor("roof", "127.0.0.9", roof),
-        sensor("rear", "127.0.0.3", rear)
-    );
-    std::fs::write(&file, text).unwrap();
-    let log = std::fs::File::create(&notes).unwrap();
-    let args = ["run", "--config", file.to_str().unwrap()];
-    let _daemon = Program::start(&args, &own, Stdio::null(), log.into());
+    let [roof, rear] = [(); 2].map(|()| free_port());
+    let sensors = sensor("roof", "127.0.0.9", roof) + &sensor("rear", "127.0.0.3", rear);
+    let robot = Robot::new(&sensors);
+    let _daemon = robot.daemon();
     let (velodyne, pandar) = (vlp16(30.0), pandar40p(30.0));
-    let second = Ipv4Addr::new(127, 0, 0, 2);
-    let third = Ipv4Addr::new(127, 0, 0, 3);
+    let [second, third] = [2, 3].map(|last| Ipv4Addr::new(127, 0, 0, last));
     let told = [
         &["roof: ", "127.0.0.2", "VLP-16", "`address = \"127.0.0.2\"`"][..],
         &["rear: ", "127.0.0.3", "1262 bytes", "Hesai Pandar40P"],
@@ -238,38 +248,23 @@ fn who_sends_in_place_of_a_sensor_is_told_by_the_daemon_and_beside_it() {
         let _ends = Ends(&over);
         scope.spawn(|| send(&velodyne, second, &[roof], &over));
         scope.spawn(|| send(&pandar, third, &[rear], &over));
-        let at = SocketAddr::from((LOCAL, http));
-        let begun = Instant::now();
-        let reasons = loop {
-            let health = health::ask(at).unwrap_or_default();
+        until(10, || {
+            let health = robot.health();
             let reasons = health["reasons"].as_array().into_iter().flatten();
             let reasons: Vec<_> = reasons.filter_map(Value::as_str).collect();
             let reasons = reasons.join("\n");
-            if told.iter().all(|parts| tells(&reasons, parts)) {
-                break reasons;
+            let are_told = told.iter().all(|parts| tells(&reasons, parts));
+            match are_told && !reasons.contains("powered") {
+                true => Ok(()),
+                false => Err(reasons),
             }
-            assert!(begun.elapsed() < Duration::from_secs(10), "{reasons}");
-            std::thread::sleep(Duration::from_millis(200));
-        };
-        assert!(!reasons.contains("powered"), "{reasons}");
+        });
         // A consumer that waits for the first sweep is told so, not that the daemon has ended.
-        let waits = own.root().join("watch.log");
-        let watched = std::fs::File::create(&waits).unwrap();
-        let _watch = Program::start(&["watch", "roof"], &own, Stdio::null(), watched.into());
-        let begun = Instant::now();
-        while !std::fs::read_to_string(&waits)
-            .unwrap()
-            .contains("roof: no sweep yet for")
-        {
-            assert!(
-                begun.elapsed() < Duration::from_secs(20),
-                "watch says nothing"
-            );
-            std::thread::sleep(Duration::from_millis(100));
-        }
-        let log = std::fs::read_to_string(&notes).unwrap();
+        let _watch = robot.start(&["watch", "roof"], "watch");
+        robot.wait_for("watch.log", "roof: no sweep yet for");
+        let log = robot.read("daemon.log");
         let plan = Plan {
-            health: Some(at),
+            health: Some(robot.http),
             ..Plan::of_ports(&[roof, rear], LOCAL, None, None)
         };
         let found = examine(plan, Duration::from_millis(200), None, |_| ());
@@ -291,73 +286,37 @@ fn found_in(seen: &Observations) -> String {
 /// a daemon says what packets show, and the doctor what the sensor says too. Nobody sets anything.
 #[test]
 fn settings_other_than_wanted_are_told_by_the_daemon_and_the_doctor() {
-    let own = temp_domain();
-    std::fs::create_dir_all(own.root()).unwrap();
-    let (port, http) = (free_port(), free_port());
-    let file = own.root().join("sweepd.toml");
-    let text = format!(
-        "http = \"127.0.0.1:{http}\"\n[[sensor]]\nname = \"roof\"\naddress = \"127.0.0.1\"\nbind = \"127.0.0.1\"\n\
-         port = {port}\nposition_port = {port}\n[sensor.want]\nrpm = 600\nreturns = \"dual\"\nfov = \"0-359\"\n\
-         host = \"192.168.1.100\"\n"
-    );
-    std::fs::write(&file, text).unwrap();
-    let config = ["--config", file.to_str().unwrap()];
-    let half = spin(
-        Spin {
-            fov: Some((27_000.0, 9_000.0)),
-            ..Spin::new(Model::Vlp16, Strongest, 600.0)
-        },
-        30.0,
-    );
+    let port = free_port();
+    let want =
+        "[sensor.want]\nrpm = 600\nreturns = \"dual\"\nfov = \"0-359\"\nhost = \"192.168.1.100\"\n";
+    let robot = Robot::new(&(sensor("roof", "127.0.0.1", port) + want));
+    let half = Spin {
+        fov: Some((27_000.0, 9_000.0)),
+        ..Spin::new(Model::Vlp16, Strongest, 600.0)
+    };
+    let half = spin(half, 30.0);
     let measured =
         "sends returns strongest, wanted is dual; measures from 270-90 degrees, wanted is 0-359";
     let over = AtomicBool::new(false);
     std::thread::scope(|scope| {
-        let ends = Ends(&over);
+        let _ends = Ends(&over);
         scope.spawn(|| send(&half, LOCAL, &[port], &over));
-        let daemon = Program::start(
-            &["run", config[0], config[1]],
-            &own,
-            Stdio::null(),
-            Stdio::null(),
-        );
-        let begun = Instant::now();
+        let daemon = robot.daemon();
         let said = format!("{measured}: change one of the two");
-        loop {
-            let health = health::ask(SocketAddr::from((LOCAL, http))).unwrap_or_default();
-            if health["status"] == "warning" && health["sensors"][0]["reason"] == said {
-                break;
+        until(20, || {
+            let health = robot.health();
+            match health["status"] == "warning" && health["sensors"][0]["reason"] == said {
+                true => Ok(()),
+                false => Err(format!("{health:#}")),
             }
-            assert!(begun.elapsed() < Duration::from_secs(20), "{health:#}");
-            std::thread::sleep(Duration::from_millis(100));
-        }
+        });
         drop(daemon);
-
-        let doctor = |more: &[&str]| {
-            let args = ["doctor", config[0], config[1], "--json", "--seconds", "1.5"];
-            let done = Command::new(env!("CARGO_BIN_EXE_sweepd"))
-                .args(args)
-                .args(more)
-                .output()
-                .unwrap();
-            let report: Value = serde_json::from_slice(&done.stdout).unwrap();
-            let findings = report["findings"].as_array().unwrap();
-            let settings = findings.iter().filter(|one| one["topic"] == "settings");
-            settings
-                .map(|one| one["what"].as_str().unwrap().to_owned())
-                .collect::<Vec<_>>()
-        };
-        let by_packets = doctor(&["--no-web"]);
-        let place = by_packets[0].split_once(": ").unwrap().0.to_owned();
-        assert_eq!(
-            by_packets,
-            measured
-                .split("; ")
-                .map(|what| format!("{place}: {what}"))
-                .collect::<Vec<_>>()
-        );
+        let by_packets = told_of_settings(&robot, &["--no-web"]);
+        let place = by_packets[0].split_once(": ").unwrap().0;
+        let expected = measured.split("; ").map(|what| format!("{place}: {what}"));
+        assert_eq!(by_packets, expected.collect::<Vec<_>>());
         let page = WebPage::new();
-        let asked = doctor(&["--web-port", &page.port.to_string()]);
+        let asked = told_of_settings(&robot, &["--web-port", &page.port.to_string()]);
         assert_eq!(
             asked,
             [
@@ -366,8 +325,17 @@ fn settings_other_than_wanted_are_told_by_the_daemon_and_the_doctor() {
             ]
         );
         assert_eq!(page.forms(), []);
-        drop(ends);
     });
+}
+
+/// What the doctor tells of settings.
+fn told_of_settings(robot: &Robot, more: &[&str]) -> Vec<String> {
+    let config = robot.config();
+    let args = [&["--config", &config, "--seconds", "1.5"], more].concat();
+    let mut findings = doctor(&args);
+    findings.retain(|one| one["topic"] == "settings");
+    let what = findings.iter().filter_map(|one| one["what"].as_str());
+    what.map(str::to_owned).collect()
 }
 
 /// Ends what sends when the test is over, well or not.
