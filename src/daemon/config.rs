@@ -25,7 +25,7 @@ pub use changes::{Change, Effect};
 pub use error::{ConfigError, Problems};
 pub use keys::example;
 
-use super::losses::Limits;
+use crate::judge::losses::Limits;
 use crate::sensor_settings::Settings;
 use crate::text::visible;
 use error::Problem;

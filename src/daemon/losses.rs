@@ -8,7 +8,7 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use crate::judge::losses::{Cause, Recent, Tally};
+use crate::judge::losses::{Level, Limits, Recent, Tally};
 
 /// How far back is looked.
 pub const WINDOW: Duration = Duration::from_secs(5);
@@ -20,50 +20,6 @@ const SETTLING: Duration = Duration::from_secs(1);
 const NOTE_EVERY: Duration = Duration::from_millis(400);
 /// Packets that come twice are told from this share of them on.
 const MANY_DUPLICATES: f64 = 0.01;
-/// What is told is over when the share falls below this part of its limit.
-const OVER_AT: f64 = 0.5;
-
-/// Shares of a sensor's packets above which losses are reported, 0 to 1. `warning` is at most
-/// `fault`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Limits {
-    /// From here on it is reported.
-    pub warning: f64,
-    /// Above this the sensor counts as failed.
-    pub fault: f64,
-}
-
-impl Limits {
-    /// The level of a share, where it has been at another one so far.
-    fn level(&self, share: f64, so_far: Option<Level>) -> Option<Level> {
-        for (level, limit) in [(Level::Fault, self.fault), (Level::Warning, self.warning)] {
-            let is_there = so_far >= Some(level);
-            if share >= if is_there { limit * OVER_AT } else { limit } {
-                return Some(level);
-            }
-        }
-        None
-    }
-}
-
-impl Default for Limits {
-    /// 3 % and 20 %. Of the captures that the tests replay, the greatest loss is 2.3 %.
-    fn default() -> Self {
-        Self {
-            warning: 0.03,
-            fault: 0.2,
-        }
-    }
-}
-
-/// How grave losses are.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Level {
-    /// Above [`Limits::warning`].
-    Warning,
-    /// Above [`Limits::fault`].
-    Fault,
-}
 
 /// A change of a sensor's losses that is reported.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -133,9 +89,8 @@ impl Losses {
 
     /// Whether the losses of the sensor are as grave as that, and told with that cause.
     pub fn tell_drops(&self) -> bool {
-        self.dropping.is_some_and(|(level, recent)| {
-            self.level >= Some(level) && matches!(recent.cause(), Cause::Host | Cause::Flood)
-        })
+        self.dropping
+            .is_some_and(|(level, recent)| self.level >= Some(level) && recent.blames_kernel())
     }
 
     /// Packets that came twice over the last seconds; `None` if they are few.
@@ -197,7 +152,7 @@ impl Losses {
         let level = self.limits.level(recent.dropped_share(), so_far);
         self.dropping = level.map(|level| (level, recent));
         let limit = match self.duplicates {
-            Some(_) => MANY_DUPLICATES * OVER_AT,
+            Some(_) => MANY_DUPLICATES * Limits::OVER_AT,
             None => MANY_DUPLICATES,
         };
         let is_many = recent.duplicates_share() >= limit;

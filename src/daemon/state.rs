@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use changes::{Changes, HostClock, Receiver};
 
-use super::losses::{Level, Limits, Losses, Turn};
-use crate::judge::losses::{Recent, SensorAddress, Tally};
+use super::losses::{Losses, Turn};
+use crate::judge::losses::{Level, Limits, Recent, SensorAddress, Tally};
 use crate::judge::{self, Finding, Fix, Remark, Severity, Topic};
 use crate::sensor_settings::{FieldOfView, Settings};
 use crate::strangers::Cause;
@@ -195,6 +195,8 @@ pub struct Watcher {
     /// Source and port of its packets.
     place: SensorAddress,
     losses: Losses,
+    /// The log has the kernel as the cause of the losses.
+    log_blames_kernel: bool,
     /// What it should be set to.
     want: Settings,
     state: State,
@@ -248,6 +250,7 @@ impl Watcher {
             name: name.to_owned(),
             place,
             losses: Losses::new(limits),
+            log_blames_kernel: false,
             want,
             state: State::Waiting,
             hindrance: None,
@@ -380,11 +383,7 @@ impl Watcher {
     /// What is not as it should be while packets come.
     fn shortcomings(&self) -> Vec<Finding> {
         let mut all = judge::of_eye(self.eye);
-        let loses = match self.losses.level() {
-            Some(Level::Warning) => Some(Severity::Warning),
-            Some(Level::Fault) => Some(Severity::Error),
-            None => None,
-        };
+        let loses = self.losses.level().map(Level::severity);
         if let Some((severity, recent)) = loses.zip(self.losses.recent()) {
             let what = recent.what(&self.place);
             all.push(Finding::new(
@@ -452,7 +451,8 @@ impl Watcher {
             let before = at.map(|at| told.swap_remove(at));
             let is_grave = (before.as_ref()).is_none_or(|(_, one)| finding.severity < one.severity);
             let is_news = is_grave && (!is_silent || remark.is_change());
-            if is_news && !self.is_told_by_losses(remark) {
+            let is_in_log = self.log_blames_kernel && self.is_told_by_losses(remark);
+            if is_news && !is_in_log {
                 messages.push(self.message(true, &finding.to_string()));
                 still.push((*remark, finding));
             } else {
@@ -742,7 +742,10 @@ impl Watcher {
         let turn = self.losses.observe(now.now, now.tally)?;
         let recent = self.losses.recent()?;
         Some(match turn {
-            Turn::Begun(_) => self.message(true, &recent.sentence(&self.place)),
+            Turn::Begun(_) => {
+                self.log_blames_kernel = recent.blames_kernel();
+                self.message(true, &recent.sentence(&self.place))
+            }
             Turn::Over(lasted) => self.message(false, &recent.over(lasted)),
         })
     }

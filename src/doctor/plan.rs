@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use crate::daemon::config::{Config, PortConfig, SensorConfig};
 use crate::input::UdpConfig;
 use crate::input::udp::ample_buffer_bytes;
+use crate::judge::losses::Limits;
 use crate::sensor_settings::Settings;
 use sweepd_core::segment::Mount;
 use sweepd_core::sensor::Model;
@@ -65,6 +66,8 @@ pub struct ExpectedSensor {
     pub min_points: usize,
     /// How it is mounted.
     pub mount: Mount,
+    /// Shares of its packets above which losses are told.
+    pub losses: Limits,
 }
 
 impl ExpectedSensor {
@@ -80,6 +83,7 @@ impl ExpectedSensor {
             max_consumers: sensor.max_consumers,
             min_points: sensor.pipeline.segment.min_points as usize,
             mount: sensor.pipeline.segment.mount,
+            losses: sensor.losses,
         }
     }
 }

@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 
+use super::Severity;
 use crate::text::grouped;
 use sweepd_core::pipeline::Counts;
 
@@ -90,6 +91,67 @@ impl Tally {
     /// Packets that came and do not fit one head.
     fn unfitting(&self) -> u64 {
         self.late + self.unconfirmed + self.other_product + self.malformed
+    }
+}
+
+/// Shares of a sensor's packets above which losses are reported, 0 to 1. `warning` is at most
+/// `fault`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// From here on it is reported.
+    pub warning: f64,
+    /// Above this the sensor counts as failed.
+    pub fault: f64,
+}
+
+impl Limits {
+    /// What is told is over when the share falls below this part of its limit.
+    pub const OVER_AT: f64 = 0.5;
+
+    /// The level of a share, where it has been at another one so far.
+    pub fn level(&self, share: f64, so_far: Option<Level>) -> Option<Level> {
+        for (level, limit) in [(Level::Fault, self.fault), (Level::Warning, self.warning)] {
+            let is_there = so_far >= Some(level);
+            if share
+                >= if is_there {
+                    limit * Self::OVER_AT
+                } else {
+                    limit
+                }
+            {
+                return Some(level);
+            }
+        }
+        None
+    }
+}
+
+impl Default for Limits {
+    /// 3 % and 20 %. Of the captures that the tests replay, the greatest loss is 2.3 %.
+    fn default() -> Self {
+        Self {
+            warning: 0.03,
+            fault: 0.2,
+        }
+    }
+}
+
+/// How grave losses are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Level {
+    /// Above [`Limits::warning`].
+    Warning,
+    /// Above [`Limits::fault`].
+    Fault,
+}
+
+impl Level {
+    /// How bad that is.
+    pub fn severity(self) -> Severity {
+        match self {
+            Self::Warning => Severity::Warning,
+            Self::Fault => Severity::Error,
+        }
     }
 }
 
@@ -199,6 +261,11 @@ impl Recent {
             .map_or(Cause::Network, |(_, cause)| cause)
     }
 
+    /// Whether most of them are lost because this host's kernel drops them.
+    pub fn blames_kernel(&self) -> bool {
+        self.share() > 0.0 && matches!(self.cause(), Cause::Host | Cause::Flood)
+    }
+
     /// Datagrams that came to the port or were dropped there, of any sender.
     pub fn sent_to_port(&self) -> u64 {
         self.counted.received + self.counted.dropped
@@ -240,8 +307,12 @@ impl Recent {
         let missing = self.missing();
         let all = self.all();
         let address = &place.address;
+        let percent = match percent {
+            0.1.. => format!("{percent:.1}"),
+            _ => "less than 0.1".to_owned(),
+        };
         let share = format!(
-            "{percent:.1} % of its packets are lost or of no use ({missing} of {all} in {seconds:.digits$} s)"
+            "{percent} % of its packets are lost or of no use ({missing} of {all} in {seconds:.digits$} s)"
         );
         let why = match self.cause() {
             Cause::Network if dropped == 0 => {

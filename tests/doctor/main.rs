@@ -18,6 +18,7 @@ use stream::Spin;
 use sweepd::doctor::observe::PortResult;
 use sweepd::doctor::plan::{ExaminedPort, ExpectedSensor};
 use sweepd::doctor::{Finding, Observations, Plan, Severity, Topic, diagnose, examine};
+use sweepd::judge::losses::Limits;
 use sweepd::segment::Mount;
 use sweepd::sensor::Model;
 use sweepd::sensor_settings::{Rpm, Settings};
@@ -203,6 +204,7 @@ fn what_is_configured_is_held_against_what_comes() {
         max_consumers: 4,
         min_points: 10,
         mount: Mount::default(),
+        losses: Limits::default(),
     };
     let sensors = vec![
         expected("roof", LOCAL),

@@ -10,8 +10,9 @@ use pcap_parser::{LegacyPcapReader, PcapBlockOwned, PcapError};
 use sweepd::admission::{DiscoveredSensors, Route};
 use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::daemon::counters::SensorCounters;
-use sweepd::daemon::losses::{Limits, Losses, WINDOW};
+use sweepd::daemon::losses::{Losses, WINDOW};
 use sweepd::input::{Capture, CaptureReader, LinkType};
+use sweepd::judge::losses::Limits;
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::wire::Packet;
 

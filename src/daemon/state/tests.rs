@@ -562,6 +562,33 @@ fn drops_are_logged_as_they_begin_rise_and_end_however_the_losses_tell_them() {
 }
 
 #[test]
+fn a_log_that_blames_the_network_also_tells_what_the_kernel_drops_later() {
+    let mut roof = Watched::new(None);
+    let mut texts = Vec::new();
+    // A tenth is lost, before this host and then in it.
+    for dropped in [0, 8] {
+        for _ in 0..100 {
+            roof.seen.tally.received += 72;
+            roof.seen.tally.data += 72;
+            roof.seen.tally.dropped += dropped;
+            roof.seen.tally.lost += 8;
+            texts.extend(roof.observe(1, 75, 1));
+        }
+    }
+    let [_streaming, network, kernel] = &texts[..] else {
+        panic!("{texts:?}")
+    };
+    assert!(network.contains("lost before this host, whose kernel dropped none"));
+    assert!(kernel.contains("kernel dropped") && !kernel.contains("before this host"));
+    let complaint = roof.watcher.complaint().unwrap_or_default();
+    assert_eq!(
+        complaint.matches("kernel dropped").count(),
+        1,
+        "{complaint}"
+    );
+}
+
+#[test]
 fn silence_does_not_tell_the_drops_before_it() {
     let mut roof = Watched::new(None);
     for _ in 0..100 {

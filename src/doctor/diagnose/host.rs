@@ -1,6 +1,6 @@
 //! What this host lacks.
 
-use super::Findings;
+use super::{Findings, sensors};
 use crate::doctor::Topic;
 use crate::doctor::observe::{Observations, PortResult, RootTrouble};
 use crate::doctor::plan::ExpectedSensor;
@@ -64,7 +64,7 @@ fn buffers(seen: &Observations, findings: &mut Findings) {
             );
             findings.warning(Topic::Buffer, what, cure);
         }
-        if dropped > 0 {
+        if dropped > 0 && !sensors::tell_drops(number, seen) {
             let remark = Remark::Dropped {
                 dropped,
                 of: received + dropped,

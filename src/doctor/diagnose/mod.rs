@@ -17,8 +17,8 @@ use crate::daemon::counter_table::{Counter, OF_PORT, OF_SENSOR};
 use crate::strangers::{Cause, Stranger};
 use crate::{beams, floor};
 
-/// Least percentage of missing packets in a running daemon's last seconds that is reported.
-const LEAST_LOSS_PERCENT: f64 = 0.1;
+/// Smallest share of missing packets that is more than a note.
+const LEAST_LOSS: f64 = 0.001;
 
 /// The findings with their cures, worst first. None, or notes alone, when all is well.
 pub fn diagnose(seen: &Observations) -> Vec<Finding> {
@@ -260,8 +260,8 @@ fn warning(sensor: &Value) -> Option<String> {
 fn losses(sensor: &Value, findings: &mut Findings) {
     let losses = &sensor["losses"];
     let state = sensor["state"].as_str().unwrap_or_default();
-    let percent = losses["percent"].as_f64().unwrap_or(0.0);
-    if state.starts_with("losing") || percent < LEAST_LOSS_PERCENT {
+    let share = losses["percent"].as_f64().unwrap_or(0.0) / 100.0;
+    if state.starts_with("losing") || share < LEAST_LOSS {
         return;
     }
     if let Some(what) = clean(&losses["what"]) {

@@ -3,11 +3,11 @@
 use std::fmt::Display;
 use std::time::Duration;
 
-use super::Findings;
+use super::{Findings, LEAST_LOSS};
 use crate::doctor::observe::{Observations, ObservedSensor, PortResult, PositionSender};
 use crate::doctor::plan::ExpectedSensor;
 use crate::doctor::{Severity, Topic};
-use crate::judge::losses::{Recent, SensorAddress, Tally};
+use crate::judge::losses::{Limits, Recent, SensorAddress, Tally};
 use crate::judge::{self, CLOCK_OFF_S, Remark};
 use crate::{beams, floor, gps};
 use sweepd_core::assemble::GpsDoubt;
@@ -23,8 +23,6 @@ const SPEEDS: std::ops::RangeInclusive<f32> = 290.0..=1210.0;
 const SPEED_SHARE: f32 = 0.03;
 /// Greatest difference of the speeds of a few sweeps, as a share.
 const STEADY_SHARE: f32 = 0.05;
-/// More than this share of the packets lost costs whole objects.
-const MUCH_LOSS: f64 = 0.01;
 
 pub(super) fn find(seen: &Observations, findings: &mut Findings) {
     if seen.plan.sensors.is_empty() {
@@ -212,9 +210,11 @@ impl SensorCheck<'_> {
     fn loss(&mut self, seen: &Observations) {
         let (recent, place) = losses(self.sensor, seen);
         if recent.share() > 0.0 {
-            let severity = match recent.share() > MUCH_LOSS {
-                true => Severity::Error,
-                false => Severity::Warning,
+            let limits = (self.expected).map_or(Limits::default(), |expected| expected.losses);
+            let severity = match limits.level(recent.share(), None) {
+                Some(level) => level.severity(),
+                None if recent.share() >= LEAST_LOSS => Severity::Warning,
+                None => Severity::Note,
             };
             self.add(
                 severity,
@@ -310,6 +310,15 @@ impl SensorCheck<'_> {
             self.remark(remark);
         }
     }
+}
+
+/// Whether a sensor's losses tell what the kernel dropped on a port.
+pub(super) fn tell_drops(port: u16, seen: &Observations) -> bool {
+    let mut there = seen.sensors.iter().filter(|one| one.port == port);
+    there.any(|sensor| {
+        let (recent, _) = losses(sensor, seen);
+        sensor.fault.is_none() && recent.share() >= LEAST_LOSS && recent.blames_kernel()
+    })
 }
 
 /// What was counted of a sensor and its port during the examination, and where that is.

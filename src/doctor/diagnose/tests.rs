@@ -10,6 +10,7 @@ use crate::doctor::observe::{
 };
 use crate::doctor::plan::{ExaminedPort, ExpectedSensor, HEALTH, Plan};
 use crate::input::udp::ReceiveBuffer;
+use crate::judge::losses::Limits;
 use crate::network::Drops;
 use crate::sensor_settings::{
     FieldOfView, Host as Destination, PhaseLock, Port, Returns, Rpm, Settings, Switch,
@@ -83,6 +84,7 @@ fn healthy() -> Observations {
         max_consumers: 4,
         min_points: 10,
         mount: Mount::default(),
+        losses: Limits::default(),
     };
     let ports = vec![port(2368, 3770), port(8308, 40)];
     let interface = Interface {
@@ -846,25 +848,33 @@ fn losses_have_the_right_cause() {
         Topic::Loss,
         &["(5 of 3775 in 5 s)", "lost before this host"],
     );
-    with(lost(500), Severity::Error, Topic::Loss, &["500 of 4270"]);
+    let one = &["less than 0.1 % of its packets", "(1 of 3771 in 5 s)"];
+    with(lost(1), Severity::Note, Topic::Loss, one);
+    // The limits are those of the daemon.
+    with(lost(500), Severity::Warning, Topic::Loss, &["500 of 4270"]);
+    with(lost(1000), Severity::Error, Topic::Loss, &["1000 of 4770"]);
+    let strict = |seen: &mut Observations| {
+        lost(500)(seen);
+        seen.plan.sensors[0].losses.fault = 0.1;
+    };
+    with(strict, Severity::Error, Topic::Loss, &["500 of 4270"]);
     let mut seen = healthy();
     lost(9)(&mut seen);
     if let PortResult::Open { dropped, .. } = &mut seen.ports[0].result {
         *dropped = 9;
     }
-    let findings = diagnose(&seen);
-    holds(
-        &findings[0],
-        Severity::Warning,
-        Topic::Loss,
-        &["(9 of 3779 in 5 s)", "kernel dropped 9"],
-    );
-    holds(
-        &findings[1],
-        Severity::Warning,
-        Topic::Loss,
-        &["kernel dropped 9 of 3,779 datagrams to port 2368"],
-    );
+    let kernel = &["(9 of 3779 in 5 s)", "kernel dropped 9 datagrams"];
+    let [once] = &diagnose(&seen)[..] else {
+        panic!("told once")
+    };
+    holds(once, Severity::Warning, Topic::Loss, kernel);
+    // The stamps of the sensor show none of what was dropped.
+    lost(0)(&mut seen);
+    let of_port = &["kernel dropped 9 of 3,779 datagrams to port 2368"];
+    let [of_all] = &diagnose(&seen)[..] else {
+        panic!("told once")
+    };
+    holds(of_all, Severity::Warning, Topic::Loss, of_port);
     with(
         |seen| seen.sensors[0].counts.duplicates = 3770,
         Severity::Warning,
@@ -872,10 +882,10 @@ fn losses_have_the_right_cause() {
         &["came twice", "mirror"],
     );
     with(
-        |seen| seen.sensors[0].counts.malformed = 2,
+        |seen| seen.sensors[0].counts.malformed = 20,
         Severity::Warning,
         Topic::Loss,
-        &["2 packets from", "have azimuths of no turning head"],
+        &["20 packets from", "have azimuths of no turning head"],
     );
 }
 
@@ -1040,7 +1050,7 @@ fn missing_settings_of_the_host_are_reported_with_the_command() {
 fn the_worst_comes_first() {
     let mut seen = healthy();
     seen.sensors[0].flags |= flags::BLANKED;
-    seen.sensors[0].counts.lost = 3;
+    seen.sensors[0].counts.lost = 30;
     seen.sensors[0].model = Some(Model::Hdl32e);
     let severities: Vec<Severity> = diagnose(&seen)
         .iter()
