@@ -394,6 +394,7 @@ impl Shared {
     }
 
     fn go_on_behind(&self, deliveries: Vec<Delivery>) {
+        let mut lost: BTreeMap<EntityId, Vec<Arc<Link>>> = BTreeMap::new();
         for delivery in deliveries {
             let is_far = !delivery.link.place.near;
             // Counted before it is sent: its end may be counted at once.
@@ -412,10 +413,14 @@ impl Shared {
             self.ended_behind(&refused);
             // Of a repair, the reader asks again.
             if refused.kind == Kind::Rest {
-                let mut state = lock(&self.state);
-                if let Some((_, writer)) = state.writers.get_mut(&refused.writer.entity) {
-                    writer.lost(&refused.link);
-                }
+                let of_writer = lost.entry(refused.writer.entity).or_default();
+                of_writer.push(refused.link);
+            }
+        }
+        let mut state = lock(&self.state);
+        for (entity, ways) in lost {
+            if let Some((_, writer)) = state.writers.get_mut(&entity) {
+                writer.lost(&ways);
             }
         }
     }
@@ -460,7 +465,7 @@ impl Shared {
                     (Kind::Repair, Step::Done) => {
                         writer.counters.repaired.fetch_add(1, Ordering::Relaxed);
                     }
-                    (Kind::Rest, Step::Lost) => writer.lost(&delivery.link),
+                    (Kind::Rest, Step::Lost) => writer.lost(&[delivery.link]),
                     _ => {}
                 }
             }

@@ -8,7 +8,7 @@ use super::discovery::{Place, ReaderData};
 use super::flow::{Delivery, Kind, Link, Progress, Pulse, Step};
 use super::sample::{Body, Sample};
 use super::wire::{Guid, Message, NumberSet, Prefix};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::atomic::{AtomicU32, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, Weak};
@@ -336,20 +336,21 @@ impl Writer {
             reader.skipped += 1;
         }
         let mut deliveries: Vec<Delivery> = vec![];
+        let mut by_way: HashMap<*const Link, usize> = HashMap::new();
         let can_take = |reader: &Reader| reader.is_confirmed && !reader.is_busy();
         for (guid, reader) in self.readers.iter().filter(|(_, reader)| can_take(reader)) {
             let by_reader = matches!(sample.body, Body::ByReader { .. });
-            let same_place = deliveries
-                .iter_mut()
-                .find(|delivery| !by_reader && Arc::ptr_eq(&delivery.link, &reader.link));
             let pulse = || self.pulse(self.first(), sample.number);
-            if let Some(delivery) = same_place {
+            let way = Arc::as_ptr(&reader.link);
+            if let Some(&same_place) = by_way.get(&way).filter(|_| !by_reader) {
                 // It goes there already, for any reader.
+                let delivery = &mut deliveries[same_place];
                 if reader.reliable && delivery.pulse.is_none() {
                     delivery.pulse = Some(pulse());
                 }
                 continue;
             }
+            by_way.insert(way, deliveries.len());
             let to = by_reader.then_some(*guid);
             let mut delivery = self.delivery(to, reader, &sample);
             delivery.pulse = reader.reliable.then(pulse);
@@ -371,36 +372,39 @@ impl Writer {
         if !ended.is_empty() {
             self.counters.written.fetch_add(1, Ordering::Relaxed);
         }
-        let (mut slow, mut sent) = (vec![], None);
+        let (mut slow, mut sent, mut lost) = (vec![], None, vec![]);
+        let mut under_way = HashMap::new();
         for (mut delivery, step) in ended {
             match step {
                 Step::Slow => {
                     delivery.kind = Kind::Rest;
-                    for reader in self.readers_by(&delivery.link) {
-                        reader.under_way = Arc::downgrade(&delivery.under_way);
-                    }
+                    let one = Arc::downgrade(&delivery.under_way);
+                    under_way.insert(Arc::as_ptr(&delivery.link), one);
                     slow.push(delivery);
                     continue;
                 }
-                Step::Lost => self.lost(&delivery.link),
+                Step::Lost => lost.push(delivery.link),
                 Step::Sent | Step::Waits | Step::Done | Step::Gone => {}
             }
             sent = Some(delivery.sample);
         }
+        for reader in self.readers.values_mut() {
+            if let Some(one) = under_way.get(&Arc::as_ptr(&reader.link)) {
+                reader.under_way = Weak::clone(one);
+            }
+        }
+        self.lost(&lost);
         if let Some(sample) = sent {
             self.recycle(sample);
         }
         slow
     }
 
-    fn readers_by(&mut self, link: &Arc<Link>) -> impl Iterator<Item = &mut Reader> {
+    /// Readers at the ends of these ways have lost a sample. There may be thousands of both.
+    pub fn lost(&mut self, ways: &[Arc<Link>]) {
+        let ways: HashSet<*const Link> = ways.iter().map(Arc::as_ptr).collect();
         let readers = self.readers.values_mut();
-        readers.filter(|reader| Arc::ptr_eq(&reader.link, link))
-    }
-
-    /// Readers at the end of a way have lost a sample.
-    pub fn lost(&mut self, link: &Arc<Link>) {
-        for reader in self.readers_by(link) {
+        for reader in readers.filter(|one| ways.contains(&Arc::as_ptr(&one.link))) {
             reader.skipped += 1;
         }
     }
