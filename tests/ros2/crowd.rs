@@ -22,7 +22,7 @@ const STOPPED: Duration = Duration::from_secs(4);
 const RUNS: usize = 3;
 
 /// The numbers of the sweeps that the readers of a peer got, by quality.
-type Got = BTreeMap<String, Vec<u64>>;
+pub type Got = BTreeMap<String, Vec<u64>>;
 
 #[test]
 #[cfg_attr(
@@ -62,7 +62,7 @@ fn lost(consumer: &Consumer, peers: &mut [Peer; 2], slow: &mut Peer) -> Vec<u64>
     let got: Vec<Got> = std::thread::scope(|scope| {
         let threads: Vec<_> = peers
             .iter_mut()
-            .map(|peer| scope.spawn(|| listen(consumer, peer)))
+            .map(|peer| scope.spawn(|| listen(consumer, peer, CLOUDS)))
             .collect();
         std::thread::sleep(Duration::from_secs(1));
         slow.process.signal(Signal::STOP).unwrap();
@@ -79,16 +79,21 @@ fn lost(consumer: &Consumer, peers: &mut [Peer; 2], slow: &mut Peer) -> Vec<u64>
             .map(|thread| thread.join().unwrap())
             .collect()
     });
+    lost_of_each(&got)
+}
+
+/// Clouds that each reader lost.
+pub fn lost_of_each(got: &[Got]) -> Vec<u64> {
     let of_each = got.iter().flat_map(Got::values);
     let gaps = of_each.map(|got| got.windows(2).map(|two| two[1] - two[0] - 1).sum());
     gaps.collect()
 }
 
-/// Takes clouds until both readers of a peer have enough.
-fn listen(consumer: &Consumer, peer: &mut Peer) -> Got {
+/// Takes clouds until both readers of a peer have so many.
+pub fn listen(consumer: &Consumer, peer: &mut Peer, clouds: usize) -> Got {
     peer.forget();
     let (begun, mut got, mut large) = (Instant::now(), Got::new(), 0);
-    while got.len() < 2 || got.values().any(|got| got.len() < CLOUDS) {
+    while got.len() < 2 || got.values().any(|got| got.len() < clouds) {
         if begun.elapsed() > 3 * PATIENCE {
             panic!("{}", peer.process.failure(format!("{got:?}")));
         }
@@ -111,6 +116,6 @@ fn listen(consumer: &Consumer, peer: &mut Peer) -> Got {
             .push(expected.sequence);
     }
     // Where the capture begins again, a sweep is in parts.
-    assert!(large > 19 * CLOUDS / 10, "{large}");
+    assert!(large > 19 * clouds / 10, "{large}");
     got
 }

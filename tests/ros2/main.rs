@@ -12,6 +12,7 @@ mod common;
 mod crowd;
 mod events;
 mod expected;
+mod far;
 mod measure;
 mod parts;
 mod peer;

@@ -35,24 +35,34 @@ pub struct Said {
 impl Peer {
     /// rclpy of the distribution whose interpreter a variable names.
     pub fn ros(variable: &str, dds_domain: u32, wanted: &Value) -> Self {
+        Self::start(Self::ros_command(variable, wanted), dds_domain)
+    }
+
+    /// The command that starts it.
+    pub fn ros_command(variable: &str, wanted: &Value) -> Command {
         let mut command = Command::new(interpreter(variable));
         command.arg(script("ros_peer.py")).arg(wanted.to_string());
         if variable != "SWEEPD_JAZZY" {
             // Two versions of Fast DDS break each other's files in shared memory.
             command.env("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4");
         }
-        Self::start(command, dds_domain)
+        command
     }
 
     /// Cyclone DDS.
-    pub fn cyclone(dds_domain: u32, mut wanted: Value) -> Self {
+    pub fn cyclone(dds_domain: u32, wanted: Value) -> Self {
+        Self::start(Self::cyclone_command(dds_domain, wanted), dds_domain)
+    }
+
+    /// The command that starts it.
+    pub fn cyclone_command(dds_domain: u32, mut wanted: Value) -> Command {
         wanted["domain"] = dds_domain.into();
         let mut command = Command::new(interpreter("SWEEPD_ROS_PYTHON"));
         command
             .arg(script("dds_peer.py"))
             .arg(wanted.to_string())
             .env("CYCLONEDDS_URI", CYCLONE);
-        Self::start(command, dds_domain)
+        command
     }
 
     /// Debian's Fast DDS.
@@ -62,7 +72,8 @@ impl Peer {
         Self::start(command, dds_domain)
     }
 
-    fn start(mut command: Command, dds_domain: u32) -> Self {
+    /// What a command starts.
+    pub fn start(mut command: Command, dds_domain: u32) -> Self {
         on_domain(&mut command, dds_domain);
         let mut process = Process::start(command.stdout(Stdio::piped())).unwrap();
         let stdout = process.child.stdout.take().unwrap();

@@ -92,12 +92,21 @@ impl World {
     /// Starts `sweepd-ros2` on a DDS domain. It also publishes where a capture begins again: each
     /// sweep that consumers get.
     pub fn bridge(&self, dds_domain: u32, more: &[&str]) -> Process {
+        Process::start(&mut self.bridge_command(dds_domain, more)).unwrap()
+    }
+
+    /// The command that starts it.
+    pub fn bridge_command(&self, dds_domain: u32, more: &[&str]) -> Command {
         let all = ["--ros-args", "-p", "only_complete:=false", "--"];
-        self.bridge_of_whole_turns(dds_domain, &[&all, more].concat())
+        self.command_of_whole_turns(dds_domain, &[&all, more].concat())
     }
 
     /// The same without the sweeps that are no whole turns.
     pub fn bridge_of_whole_turns(&self, dds_domain: u32, more: &[&str]) -> Process {
+        Process::start(&mut self.command_of_whole_turns(dds_domain, more)).unwrap()
+    }
+
+    fn command_of_whole_turns(&self, dds_domain: u32, more: &[&str]) -> Command {
         let mut command = Command::new(bridge_program());
         on_domain(&mut command, dds_domain);
         command
@@ -105,7 +114,7 @@ impl World {
             .arg(self.own.root())
             .args(more)
             .stdout(Stdio::null());
-        Process::start(&mut command).unwrap()
+        command
     }
 
     /// Arguments by which a bridge asks this daemon for its health.
