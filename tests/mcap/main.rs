@@ -1,11 +1,12 @@
 //! Sweeps as messages of ROS 2 in MCAP files: what rosbags and mcap-ros2-support read is what the
 //! CSV says, and what consumers got.
 //!
-//! A Python (`SWEEPD_ROS_PYTHON`) with the packages `rosbags`, `mcap`, `mcap-ros2-support` and
-//! `numpy` is wanted. Where it is missing those tests are ignored; under `CI=true` they fail.
+//! A Python (`SWEEPD_ROS_PYTHON`) with the packages `rosbags`, `mcap`, `mcap-ros2-support`, `numpy`
+//! and `kiss-icp` is wanted. Where it is missing those tests are ignored; under `CI=true` they fail.
 
 #[path = "../common/mod.rs"]
 mod common;
+mod odometry;
 mod recorded;
 mod types;
 
