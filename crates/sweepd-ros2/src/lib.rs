@@ -24,4 +24,6 @@ pub mod node;
 mod rtps;
 
 pub use environment::{DiscoveryRange, Environment, EnvironmentError};
-pub use node::{Durability, Node, NodeError, Publisher, Statistics, Subscriber};
+pub use node::{
+    Durability, Node, NodeError, Publisher, Quality, Statistics, Subscriber, Subscription,
+};

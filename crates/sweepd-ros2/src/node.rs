@@ -1,18 +1,21 @@
-//! A ROS 2 node that publishes: names as ROS has them, and the graph that its tools show.
+//! A ROS 2 node that publishes and subscribes: names as ROS has them, and the graph that its tools show.
 
 use crate::environment::Environment;
-use crate::rtps::participant::{Participant, WriterHandle};
+use crate::rtps::participant::{Participant, ReaderHandle, WriterHandle};
 use crate::rtps::sample::Body;
-use crate::rtps::writer::Offer;
+use crate::rtps::terms::Terms;
 use std::io;
 use std::net::SocketAddrV4;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use sweepd_messages::graph::{self, GidForm};
+use sweepd_messages::graph::{self, Gid, GidForm};
 use sweepd_messages::message_type::{self, MessageType};
 
 /// Samples that a reader can ask for again.
 const DEPTH: usize = 5;
+
+/// Largest message that a subscription takes, in bytes.
+const LARGEST_MESSAGE: usize = 1 << 20;
 
 /// Longest name of a node, and longest of a topic with its namespace, in bytes.
 const LONGEST_NODE_NAME: usize = 255;
@@ -30,7 +33,18 @@ pub enum Durability {
     TransientLocal,
 }
 
-/// Why there is no node or publisher.
+/// What a subscription asks of publishers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quality {
+    /// What arrives. Every publisher offers that.
+    BestEffort,
+    /// All messages, also those that were lost on their way.
+    Reliable,
+    /// All messages, and those that the publisher keeps for late subscribers, as on `/tf_static`.
+    TransientLocal,
+}
+
+/// Why there is no node, publisher or subscription.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum NodeError {
@@ -73,8 +87,15 @@ struct Inner {
     namespace: String,
     name: String,
     graph: WriterHandle,
-    /// What the graph says: our publishers, in the order of their making.
-    writers: Mutex<Vec<[u8; 16]>>,
+    /// What the graph says, in the order of their making.
+    endpoints: Mutex<Endpoints>,
+}
+
+/// Publishers and subscriptions of a node.
+#[derive(Default)]
+struct Endpoints {
+    writers: Vec<Gid>,
+    readers: Vec<Gid>,
 }
 
 impl Node {
@@ -95,10 +116,11 @@ impl Node {
             NodeError::Domain { domain, error }
         })?;
         let graph_type = &message_type::PARTICIPANT_ENTITIES_INFO;
-        let graph = participant.add_writer(Offer {
+        let graph = participant.add_writer(Terms {
             topic: GRAPH_TOPIC.to_owned(),
             type_name: graph_type.dds_name(),
             type_hash: graph_type.hash,
+            reliable: true,
             transient_local: true,
             depth: 1,
         });
@@ -107,9 +129,9 @@ impl Node {
             namespace: namespace.to_owned(),
             name: name.to_owned(),
             graph,
-            writers: Mutex::default(),
+            endpoints: Mutex::default(),
         };
-        inner.tell(&inner.writers());
+        inner.tell(&inner.endpoints());
         Ok(Self {
             inner: Arc::new(inner),
         })
@@ -130,20 +152,55 @@ impl Node {
         let name = self.inner.resolve(topic);
         check_name("topic", topic, is_topic(&name))?;
         let transient_local = durability == Durability::TransientLocal;
-        let writer = self.inner.participant.add_writer(Offer {
+        let writer = self.inner.participant.add_writer(Terms {
             topic: format!("rt{name}"),
             type_name: message_type.dds_name(),
             type_hash: message_type.hash,
+            reliable: true,
             transient_local,
             depth: if transient_local { 1 } else { DEPTH },
         });
-        let mut writers = self.inner.writers();
-        writers.push(writer.guid.bytes());
-        self.inner.tell(&writers);
-        drop(writers);
+        let mut endpoints = self.inner.endpoints();
+        endpoints.writers.push(writer.guid.bytes());
+        self.inner.tell(&endpoints);
+        drop(endpoints);
         Ok(Publisher {
             node: Arc::clone(&self.inner),
             writer,
+            topic: name,
+        })
+    }
+
+    /// Asks for messages, of which the newest `depth` wait to be taken, and of those at most 4 MiB. One of
+    /// more than 1 MiB is refused; the first is told in the log.
+    ///
+    /// # Errors
+    /// A name that ROS does not take.
+    pub fn subscription(
+        &self,
+        topic: &str,
+        message: &MessageType,
+        quality: Quality,
+        depth: usize,
+    ) -> Result<Subscription, NodeError> {
+        let name = self.inner.resolve(topic);
+        check_name("topic", topic, is_topic(&name))?;
+        let asks = Terms {
+            topic: format!("rt{name}"),
+            type_name: message.dds_name(),
+            type_hash: message.hash,
+            reliable: quality != Quality::BestEffort,
+            transient_local: quality == Quality::TransientLocal,
+            depth,
+        };
+        let reader = self.inner.participant.add_reader(asks, LARGEST_MESSAGE);
+        let mut endpoints = self.inner.endpoints();
+        endpoints.readers.push(reader.guid.bytes());
+        self.inner.tell(&endpoints);
+        drop(endpoints);
+        Ok(Subscription {
+            node: Arc::clone(&self.inner),
+            reader,
             topic: name,
         })
     }
@@ -156,17 +213,19 @@ impl Drop for Node {
 }
 
 impl Inner {
-    fn writers(&self) -> MutexGuard<'_, Vec<[u8; 16]>> {
-        self.writers.lock().unwrap_or_else(PoisonError::into_inner)
+    fn endpoints(&self) -> MutexGuard<'_, Endpoints> {
+        self.endpoints
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Tells the graph which publishers there are.
-    fn tell(&self, writers: &[[u8; 16]]) {
+    /// Tells the graph which publishers and subscriptions there are.
+    fn tell(&self, endpoints: &Endpoints) {
         let nodes = [graph::Node {
             namespace: self.namespace.clone(),
             name: self.name.clone(),
-            readers: vec![],
-            writers: writers.to_vec(),
+            readers: endpoints.readers.clone(),
+            writers: endpoints.writers.clone(),
         }];
         let encode = |form| {
             let mut message = vec![];
@@ -268,10 +327,46 @@ impl Publisher {
 impl Drop for Publisher {
     fn drop(&mut self) {
         self.node.participant.remove_writer(&self.writer);
-        let mut writers = self.node.writers();
+        let mut endpoints = self.node.endpoints();
         let gone = self.writer.guid.bytes();
-        writers.retain(|writer| *writer != gone);
-        self.node.tell(&writers);
+        endpoints.writers.retain(|writer| *writer != gone);
+        self.node.tell(&endpoints);
+    }
+}
+
+/// A subscription of a node. When it is dropped, others see that it has gone.
+pub struct Subscription {
+    node: Arc<Inner>,
+    reader: ReaderHandle,
+    topic: String,
+}
+
+impl Subscription {
+    /// Its topic, as `/odom`.
+    pub fn topic(&self) -> &str {
+        &self.topic
+    }
+
+    /// How many publishers it has. This takes no lock.
+    pub fn publishers(&self) -> usize {
+        self.reader.inbox.writers.load(Ordering::Relaxed)
+    }
+
+    /// Takes the oldest message that waits, if there is one: CDR, its encapsulation of 4 bytes included.
+    ///
+    /// Anyone on the ROS domain can have sent it: no length in it is sure. It never waits.
+    pub fn take(&self) -> Option<Vec<u8>> {
+        self.reader.inbox.take().map(|sample| sample.payload)
+    }
+}
+
+impl Drop for Subscription {
+    fn drop(&mut self) {
+        self.node.participant.remove_reader(&self.reader);
+        let mut endpoints = self.node.endpoints();
+        let gone = self.reader.guid.bytes();
+        endpoints.readers.retain(|reader| *reader != gone);
+        self.node.tell(&endpoints);
     }
 }
 

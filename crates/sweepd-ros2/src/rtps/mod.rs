@@ -1,13 +1,15 @@
-//! A participant of a DDS domain that writes and never reads: RTPS 2.3 over UDP and IPv4.
+//! A participant of a DDS domain: RTPS 2.3 over UDP and IPv4.
 //!
 //! ```text
-//!  datagrams ─> sockets ─> wire ─> discovery ─> who reads what
+//!  datagrams ─> sockets ─> wire ─> discovery ─> who reads and writes what
+//!                           ├────> reader ────> samples, and what we miss
 //!                           └────> writer ────> what they miss ─┐
 //!  samples ──────────────────────> writer ────> deliveries ─────┴─> flow ─> sockets ─> datagrams
 //! ```
 //!
-//! [`discovery`] and [`writer`] are state without sockets; [`participant`] joins all. What is not
-//! here: readers, keys, security, other networks than IPv4.
+//! [`discovery`], [`reader`] and [`writer`] are state without sockets; [`participant`] joins all. What is
+//! not here: keys, security, other networks than IPv4, and requests for single fragments (NACK_FRAG): our
+//! readers ask for the whole sample again, of which they keep what they have.
 //!
 //! # Why a writer of our own
 //!
@@ -42,7 +44,10 @@ pub mod discovery;
 pub mod flow;
 mod parameters;
 pub mod participant;
+pub mod reader;
+mod received;
 pub mod sample;
 mod sockets;
+pub mod terms;
 mod wire;
 pub mod writer;

@@ -11,6 +11,7 @@ pub const VENDOR_ID: u16 = 0x16;
 pub const RELIABILITY: u16 = 0x1a;
 pub const LIVELINESS: u16 = 0x1b;
 pub const DURABILITY: u16 = 0x1d;
+pub const OWNERSHIP: u16 = 0x1f;
 pub const DEADLINE: u16 = 0x23;
 pub const USER_DATA: u16 = 0x2c;
 pub const UNICAST_LOCATOR: u16 = 0x2f;

@@ -5,14 +5,19 @@
 //! rest of a sample. The state is locked for moments only, and never while something is sent.
 
 use super::discovery::{
-    Discovery, MAX_PARTICIPANTS, MAX_READERS, News, ParticipantData, Place, ReaderData, is_own,
+    Discovery, Endpoint, MAX_ENDPOINTS, MAX_PARTICIPANTS, News, ParticipantData, Place, Side,
+    is_own,
 };
 use super::flow::{self, Delivery, Kind, Link, SocketMemory, Step, Transport, lock};
 use super::parameters::{self, ParameterList};
+use super::reader::{Inbox, Reader};
 use super::sample::Body;
 use super::sockets::{self, Sockets};
-use super::wire::{self, EntityId, Guid, Message, Prefix, Route, Submessage};
-use super::writer::{Counters, Match, Offer, Outbox, ReaderCount, Writer};
+use super::terms::{Match, Terms};
+use super::wire::{
+    self, ANY_READER, Data, EntityId, Guid, Message, NumberSet, Prefix, Route, Submessage,
+};
+use super::writer::{Counters, Outbox, ReaderCount, Writer};
 use crate::environment::{DiscoveryRange, Environment};
 use crate::log;
 use std::collections::{BTreeMap, BTreeSet};
@@ -52,22 +57,22 @@ const ANSWER_RATIO: usize = 3;
 /// Between warnings that there is no room for others.
 const TELL_EVERY: Duration = Duration::from_secs(60);
 
-/// Readers whose demands were told of once.
+/// Readers and writers of which it was told once that they do not match.
 const MAX_WARNINGS: usize = 64;
 
-/// The builtin endpoints that we have: writer and reader of participants, writer of publications,
-/// reader of subscriptions.
-const BUILTIN_ENDPOINTS: u32 = 1 | 1 << 1 | 1 << 2 | 1 << 5;
+/// The builtin endpoints that we have: a writer and a reader each of participants, publications and
+/// subscriptions.
+const BUILTIN_ENDPOINTS: u32 = 0x3f;
 
 struct State {
     discovery: Discovery,
-    /// Our writers; the first tells of the others.
-    writers: BTreeMap<EntityId, (Option<Offer>, Writer)>,
+    /// Our writers; those without terms tell of the others, and of the readers.
+    writers: BTreeMap<EntityId, (Option<Terms>, Writer)>,
+    readers: BTreeMap<EntityId, Reader>,
     ways: Ways,
     /// The addresses of this host.
     addresses: Vec<Ipv4Addr>,
     entities: u32,
-    acknacks: u32,
     /// When it was told last that there is no room for others.
     told_full: Option<Instant>,
     /// When it was told last that somebody acknowledges nothing.
@@ -102,6 +107,15 @@ pub struct WriterHandle {
     /// What it did.
     pub counters: Arc<Counters>,
     turn: Arc<Mutex<()>>,
+}
+
+/// A reader of a participant, seen from outside.
+#[derive(Clone)]
+pub struct ReaderHandle {
+    /// Which it is.
+    pub guid: Guid,
+    /// Where its samples wait.
+    pub inbox: Arc<Inbox>,
 }
 
 /// A GUID prefix that no other participant has.
@@ -145,13 +159,11 @@ impl Participant {
     }
 
     /// Adds a writer, and tells others of it.
-    pub fn add_writer(&self, offer: Offer) -> WriterHandle {
+    pub fn add_writer(&self, offer: Terms) -> WriterHandle {
         let mut out = Outbox::default();
         let mut state = lock(&self.shared.state);
-        state.entities += 1;
-        let [_, high, middle, low] = state.entities.to_be_bytes();
         // Kind 3: a writer of ours, without key.
-        let guid = self.shared.guid([high, middle, low, 3]);
+        let guid = self.shared.guid(state.new_entity(3));
         let mut writer = Writer::new(guid, offer.transient_local, offer.depth);
         let handle = WriterHandle {
             guid,
@@ -161,15 +173,15 @@ impl Participant {
         let State {
             discovery, ways, ..
         } = &mut *state;
-        for reader in discovery.readers() {
+        for reader in discovery.endpoints(Side::Readers) {
             let host = discovery.confirmed_host(reader.guid.prefix);
             ways.join((&offer, &mut writer), reader, host, &mut out);
         }
-        let publication = publication(guid, self.guid(), &offer);
+        let publication = endpoint(guid, self.guid(), &offer);
         state.writers.insert(guid.entity, (Some(offer), writer));
         drop(state);
         self.shared.send_messages(out.messages);
-        self.shared.tell(Body::Same(publication));
+        self.shared.tell(Side::Writers, Body::Same(publication));
         handle
     }
 
@@ -177,17 +189,39 @@ impl Participant {
     pub fn remove_writer(&self, writer: &WriterHandle) {
         let mut state = lock(&self.shared.state);
         state.writers.remove(&writer.guid.entity);
-        if let Some((_, publications)) = state.writers.get_mut(&wire::PUBLICATIONS_WRITER) {
-            publications.withdraw(|sample| {
-                parameters::guid(sample.payload(true), parameters::ENDPOINT_GUID)
-                    == Some(writer.guid)
-            });
-            publications.keep_ends(DISPOSALS);
-        }
         drop(state);
-        let mut key = ParameterList::new();
-        key.put(parameters::ENDPOINT_GUID, &writer.guid.bytes());
-        self.shared.tell(Body::End(writer.guid, key.end()));
+        self.shared.tell_end(Side::Writers, writer.guid);
+    }
+
+    /// Adds a reader of samples of up to so many bytes, and tells others of it.
+    pub fn add_reader(&self, asks: Terms, largest_bytes: usize) -> ReaderHandle {
+        let mut out = Outbox::default();
+        let mut state = lock(&self.shared.state);
+        // Kind 4: a reader of ours, without key.
+        let guid = self.shared.guid(state.new_entity(4));
+        let subscription = endpoint(guid, self.guid(), &asks);
+        let mut reader = Reader::new(guid, asks, largest_bytes);
+        let inbox = Arc::clone(&reader.inbox);
+        let State {
+            discovery, ways, ..
+        } = &mut *state;
+        for writer in discovery.endpoints(Side::Writers) {
+            let host = discovery.confirmed_host(writer.guid.prefix);
+            ways.join_writer(&mut reader, writer, host, &mut out);
+        }
+        state.readers.insert(guid.entity, reader);
+        drop(state);
+        self.shared.tell(Side::Readers, Body::Same(subscription));
+        self.shared.send_messages(out.messages);
+        ReaderHandle { guid, inbox }
+    }
+
+    /// Takes a reader away, and tells others.
+    pub fn remove_reader(&self, reader: &ReaderHandle) {
+        let mut state = lock(&self.shared.state);
+        state.readers.remove(&reader.guid.entity);
+        drop(state);
+        self.shared.tell_end(Side::Readers, reader.guid);
     }
 
     /// Writes a sample: returns when each reader has it, or has lost it.
@@ -229,6 +263,9 @@ impl Participant {
         for (_, writer) in state.writers.values_mut() {
             writer.remove_readers(|_| true);
         }
+        for reader in state.readers.values_mut() {
+            reader.remove_writers(|_| true);
+        }
     }
 }
 
@@ -245,8 +282,9 @@ fn refused(error: TrySendError<Delivery>) -> Delivery {
     }
 }
 
-/// What others are told of a writer. Where to reach it they know: where its participant is.
-fn publication(guid: Guid, participant: Guid, offer: &Offer) -> Vec<u8> {
+/// What others are told of a writer or reader. Where to reach it they know: where its participant is.
+fn endpoint(guid: Guid, participant: Guid, terms: &Terms) -> Vec<u8> {
+    const BEST_EFFORT: u32 = 1;
     const RELIABLE: u32 = 2;
     const KEEP_LAST: u32 = 0;
     const AUTOMATIC: u32 = 0;
@@ -254,29 +292,36 @@ fn publication(guid: Guid, participant: Guid, offer: &Offer) -> Vec<u8> {
     let mut list = ParameterList::new();
     list.put(parameters::ENDPOINT_GUID, &guid.bytes());
     list.put(parameters::PARTICIPANT_GUID, &participant.bytes());
-    list.string(parameters::TOPIC_NAME, &offer.topic);
-    list.string(parameters::TYPE_NAME, &offer.type_name);
+    list.string(parameters::TOPIC_NAME, &terms.topic);
+    list.string(parameters::TYPE_NAME, &terms.type_name);
     list.put(parameters::PROTOCOL_VERSION, &[2, 3]);
     list.put(parameters::VENDOR_ID, &[0, 0]);
     // With the longest time to block, 0.1 s by default, which no write of ours does.
-    list.numbers(parameters::RELIABILITY, &[RELIABLE, 0, 0x1999_9999]);
-    list.numbers(parameters::DURABILITY, &[u32::from(offer.transient_local)]);
-    list.numbers(parameters::HISTORY, &[KEEP_LAST, offer.depth as u32]);
+    let reliability = if terms.reliable {
+        RELIABLE
+    } else {
+        BEST_EFFORT
+    };
+    list.numbers(parameters::RELIABILITY, &[reliability, 0, 0x1999_9999]);
+    list.numbers(parameters::DURABILITY, &[u32::from(terms.transient_local)]);
+    list.numbers(parameters::HISTORY, &[KEEP_LAST, terms.depth as u32]);
     list.numbers(
         parameters::LIVELINESS,
         &[AUTOMATIC, INFINITE[0], INFINITE[1]],
     );
-    let hash = format!("typehash={};", offer.type_hash);
+    let hash = format!("typehash={};", terms.type_hash);
     list.octets(parameters::USER_DATA, hash.as_bytes());
     list.end()
 }
 
-/// The ways to readers, which all writers share.
+/// The ways to others, which all writers and readers share.
 #[derive(Default)]
 struct Ways {
     links: BTreeMap<SocketAddrV4, Arc<Link>>,
-    /// Readers that ask for more than is offered, and were told of.
+    /// Readers that ask for more than is offered, and writers that offer too little, which were told of.
     warned: BTreeSet<Guid>,
+    /// One count for all, so that it goes on for one that was forgotten and comes back.
+    acknacks: u32,
 }
 
 impl Ways {
@@ -289,12 +334,12 @@ impl Ways {
     /// of.
     fn join(
         &mut self,
-        (offer, writer): (&Offer, &mut Writer),
-        reader: &ReaderData,
+        (offer, writer): (&Terms, &mut Writer),
+        reader: &Endpoint,
         confirmed_host: Option<Ipv4Addr>,
         out: &mut Outbox,
     ) {
-        match offer.matches(reader) {
+        match offer.offered_to(reader) {
             Match::No => {}
             Match::Yes => {
                 let link = self.link(reader.place);
@@ -302,16 +347,59 @@ impl Ways {
                 writer.add_reader(reader, link, is_confirmed, Instant::now(), out);
             }
             Match::AsksFor(what) => {
-                if self.warned.len() < MAX_WARNINGS && self.warned.insert(reader.guid) {
-                    let topic = offer.topic.trim_start_matches("rt");
+                if self.is_news(reader) {
                     log::warn(format_args!(
-                        "{topic}: a subscriber at {} asks for {what}, which is not offered: it \
+                        "{}: a subscriber at {} asks for {what}, which is not offered: it \
                          gets nothing until it asks for less",
+                        offer.ros_topic(),
                         reader.place.address
                     ));
                 }
             }
         }
+    }
+
+    /// Gives a reader a writer that it matches, once its participant has acknowledged something from its
+    /// host: of no one else anything is taken, nor anyone answered. One that offers too little is told of.
+    fn join_writer(
+        &mut self,
+        reader: &mut Reader,
+        writer: &Endpoint,
+        confirmed_host: Option<Ipv4Addr>,
+        out: &mut Outbox,
+    ) {
+        match reader.terms.asked_of(writer) {
+            Match::Yes if confirmed_host == Some(writer.place.host()) => {
+                if reader.add_writer(writer) && reader.terms.reliable {
+                    let ask = self.acknack(reader.guid, writer.guid, &NumberSet::new(0));
+                    out.message(writer.place.address, ask);
+                }
+            }
+            Match::Yes | Match::No => {}
+            Match::AsksFor(what) => {
+                if self.is_news(writer) {
+                    log::warn(format_args!(
+                        "{}: a publisher at {} does not offer {what}, which is asked for: nothing \
+                         is taken of it until it offers more",
+                        reader.terms.ros_topic(),
+                        writer.place.address
+                    ));
+                }
+            }
+        }
+    }
+
+    /// Whether an endpoint that does not match is to be told of.
+    fn is_news(&mut self, endpoint: &Endpoint) -> bool {
+        self.warned.len() < MAX_WARNINGS && self.warned.insert(endpoint.guid)
+    }
+
+    /// What a reader of ours misses of a writer.
+    fn acknack(&mut self, reader: Guid, writer: Guid, missing: &NumberSet) -> Message {
+        self.acknacks = self.acknacks.wrapping_add(1);
+        let mut message = Message::to(reader.prefix, writer.prefix);
+        message.acknack(reader.entity, writer.entity, missing, self.acknacks);
+        message
     }
 
     fn forget(&mut self, prefix: Prefix) {
@@ -328,15 +416,18 @@ impl Shared {
     fn open(environment: &Environment, name: &str, enclave: &str) -> io::Result<Self> {
         let prefix = random_prefix()?;
         let transport = Transport::new(Sockets::open(environment)?);
-        let publications = Guid::new(prefix, wire::PUBLICATIONS_WRITER);
-        let publications = (None, Writer::new(publications, true, usize::MAX));
+        let telling = Side::BOTH.map(|side| {
+            let (_, entity) = side.builtin();
+            let writer = Writer::new(Guid::new(prefix, entity), true, usize::MAX);
+            (entity, (None, writer))
+        });
         let state = State {
             discovery: Discovery::default(),
-            writers: BTreeMap::from([(wire::PUBLICATIONS_WRITER, publications)]),
+            writers: BTreeMap::from(telling),
+            readers: BTreeMap::new(),
             ways: Ways::default(),
             addresses: sockets::addresses()?,
             entities: 0,
-            acknacks: 0,
             told_full: None,
             told_unheard: None,
         };
@@ -357,9 +448,9 @@ impl Shared {
         Guid::new(self.prefix, entity)
     }
 
-    /// Writes to those that want to know of our writers.
-    fn tell(&self, body: Body) {
-        let guid = self.guid(wire::PUBLICATIONS_WRITER);
+    /// Writes to those that want to know of our writers, or of our readers.
+    fn tell(&self, side: Side, body: Body) {
+        let guid = self.guid(side.builtin().1);
         let turn = match lock(&self.state).writers.get(&guid.entity) {
             Some((_, writer)) => Arc::clone(&writer.turn),
             None => return,
@@ -370,6 +461,22 @@ impl Shared {
             turn,
         };
         self.write(&handle, body);
+    }
+
+    /// Tells of a writer or reader that is no more.
+    fn tell_end(&self, side: Side, gone: Guid) {
+        let mut state = lock(&self.state);
+        if let Some((_, telling)) = state.writers.get_mut(&side.builtin().1) {
+            telling.withdraw(|sample| {
+                let of = parameters::guid(sample.payload(true), parameters::ENDPOINT_GUID);
+                of == Some(gone)
+            });
+            telling.keep_ends(DISPOSALS);
+        }
+        drop(state);
+        let mut key = ParameterList::new();
+        key.put(parameters::ENDPOINT_GUID, &gone.bytes());
+        self.tell(side, Body::End(gone, key.end()));
     }
 
     fn write(&self, writer: &WriterHandle, body: Body) {
@@ -640,57 +747,54 @@ impl Shared {
         out: &mut Outbox,
     ) {
         match submessage {
-            Submessage::Data {
-                writer: wire::PARTICIPANTS_WRITER,
-                disposed,
-                payload,
-                ..
-            } => {
-                if disposed {
+            Submessage::Data(data) if data.writer == wire::PARTICIPANTS_WRITER => {
+                if data.disposed {
                     state.discovery.forget(prefix);
                     state.forget(prefix);
-                } else if let Some(data) = ParticipantData::read(payload, source, &state.addresses)
+                } else if let Some(meets) =
+                    ParticipantData::read(data.payload, source, &state.addresses)
                 {
-                    self.meet(state, prefix, data, out);
+                    self.meet(state, prefix, meets, out);
                 }
             }
-            Submessage::Data {
-                writer: wire::SUBSCRIPTIONS_WRITER,
-                number,
-                key,
-                disposed: true,
-                payload,
-            } => {
-                let key = key.or_else(|| parameters::guid(payload, parameters::ENDPOINT_GUID));
-                state.subscription_ended(prefix, number, key.filter(|key| key.prefix == prefix));
-            }
-            Submessage::Data {
-                writer: wire::SUBSCRIPTIONS_WRITER,
-                number,
-                payload,
-                ..
-            } => state.subscription(prefix, number, payload, out),
+            Submessage::Data(data) => match Side::told_by(data.writer) {
+                Some(side) => state.told((prefix, side), &data, out),
+                None => state.data(prefix, &data),
+            },
             Submessage::Heartbeat {
-                writer: wire::SUBSCRIPTIONS_WRITER,
+                reader,
+                writer,
                 first,
                 last,
-            } => {
-                state.discovery.subscriptions(prefix, first, last);
-                match state.discovery.confirmed_host(prefix) {
-                    Some(_) => self.ask_for_readers(state, prefix, out),
-                    None => state.ask_whether_it_hears(prefix, out),
+            } => match Side::told_by(writer) {
+                Some(side) => {
+                    state.discovery.heartbeat(prefix, side, first, last);
+                    match state.discovery.confirmed_host(prefix) {
+                        Some(_) => self.ask_for_endpoints(state, prefix, side, out),
+                        None => state.ask_whether_it_hears(prefix, out),
+                    }
                 }
-            }
+                None => state.heartbeat(reader, Guid::new(prefix, writer), first, last, out),
+            },
             Submessage::Gap {
-                writer: wire::SUBSCRIPTIONS_WRITER,
+                reader,
+                writer,
                 first,
                 more,
-            } => state.discovery.subscriptions_gap(prefix, first, &more),
+            } => match Side::told_by(writer) {
+                Some(side) => state.discovery.gap(prefix, side, first, &more),
+                None => {
+                    for own in readers_named(&mut state.readers, reader) {
+                        own.gap(Guid::new(prefix, writer), first, &more);
+                    }
+                }
+            },
             acknowledgement => state.acknowledged(prefix, acknowledgement, out),
         }
     }
 
-    /// A participant that names us acknowledges something: its readers on that host may get samples.
+    /// A participant that names us acknowledges something: its readers on that host may get samples, and
+    /// its writers there are heard.
     fn confirm(&self, state: &mut State, prefix: Prefix, source: Ipv4Addr, out: &mut Outbox) {
         if state.discovery.confirmed_host(prefix).is_some() {
             return;
@@ -712,32 +816,29 @@ impl Shared {
                 writer.confirm(prefix, host, Instant::now(), out);
             }
         }
-        self.ask_for_readers(state, prefix, out);
+        state.join(prefix, Side::Writers, None, out);
+        for side in Side::BOTH {
+            self.ask_for_endpoints(state, prefix, side, out);
+        }
     }
 
-    /// Says to a participant of which of its readers we have heard.
-    fn ask_for_readers(&self, state: &mut State, prefix: Prefix, out: &mut Outbox) {
-        if let Some((missing, place)) = state.discovery.missing_subscriptions(prefix) {
-            let message = self.acknack(state, prefix, &missing);
+    /// Says to a participant of which of its endpoints we have heard.
+    fn ask_for_endpoints(&self, state: &mut State, prefix: Prefix, side: Side, out: &mut Outbox) {
+        if let Some((missing, place)) = state.discovery.missing(prefix, side) {
+            let [reader, writer] = self.telling(prefix, side);
+            let message = state.ways.acknack(reader, writer, &missing);
             out.message(place.address, message);
         }
     }
 
-    fn acknack(&self, state: &mut State, to: Prefix, missing: &wire::NumberSet) -> Message {
-        // One count for all, so that it goes on for one that was forgotten and comes back.
-        state.acknacks = state.acknacks.wrapping_add(1);
-        let mut message = Message::to(self.prefix, to);
-        message.acknack(
-            wire::SUBSCRIPTIONS_READER,
-            wire::SUBSCRIPTIONS_WRITER,
-            missing,
-            state.acknacks,
-        );
-        message
+    /// Our reader, and the writer of a participant that tells it of endpoints.
+    fn telling(&self, prefix: Prefix, side: Side) -> [Guid; 2] {
+        let (reader, writer) = side.builtin();
+        [self.guid(reader), Guid::new(prefix, writer)]
     }
 
-    /// Answers a participant that says that it is there: that we are too, which writers we have,
-    /// and that we have heard of no reader of its yet.
+    /// Answers a participant that says that it is there: that we are too, which writers and readers we
+    /// have, and that we have heard of none of its yet.
     fn meet(&self, state: &mut State, prefix: Prefix, data: ParticipantData, out: &mut Outbox) {
         let place = data.meta;
         if let Some(displaced) = state.discovery.displaced_by(prefix) {
@@ -755,24 +856,46 @@ impl Shared {
         if news == News::Unaware && host.is_some() {
             return;
         }
-        let nothing = wire::NumberSet::new(1);
-        let acknack = self.acknack(state, prefix, &nothing);
-        out.message(place.address, acknack);
-        if news == News::New {
-            // One that was here before has moved: its readers, too.
-            state.forget(prefix);
-            state.join_all(prefix, out);
+        for side in Side::BOTH {
+            let [reader, writer] = self.telling(prefix, side);
+            let nothing = state.ways.acknack(reader, writer, &NumberSet::new(1));
+            out.message(place.address, nothing);
         }
-        let reader = ReaderData::of_publications(prefix, place);
-        let link = state.ways.link(place);
-        if let Some((_, publications)) = state.writers.get_mut(&wire::PUBLICATIONS_WRITER) {
-            publications.remove_readers(|guid| guid == reader.guid);
-            publications.add_reader(&reader, link, host.is_some(), now, out);
+        if news == News::New {
+            // One that was here before has moved: its endpoints, too.
+            state.forget(prefix);
+            for side in Side::BOTH {
+                state.join(prefix, side, None, out);
+            }
+        }
+        for side in Side::BOTH {
+            let reader = Endpoint::builtin_reader(prefix, side, place);
+            let link = state.ways.link(place);
+            if let Some((_, telling)) = state.writers.get_mut(&side.builtin().1) {
+                telling.remove_readers(|guid| guid == reader.guid);
+                telling.add_reader(&reader, link, host.is_some(), now, out);
+            }
         }
     }
 }
 
+/// Our readers that a submessage names.
+fn readers_named(
+    readers: &mut BTreeMap<EntityId, Reader>,
+    named: EntityId,
+) -> impl Iterator<Item = &mut Reader> {
+    let readers = readers.values_mut();
+    readers.filter(move |own| named == ANY_READER || named == own.guid.entity)
+}
+
 impl State {
+    /// The number of an endpoint that is new, and its kind.
+    fn new_entity(&mut self, kind: u8) -> EntityId {
+        self.entities += 1;
+        let [_, high, middle, low] = self.entities.to_be_bytes();
+        [high, middle, low, kind]
+    }
+
     /// Sends a heartbeat to a participant that has acknowledged nothing: what it answers shows where it is.
     fn ask_whether_it_hears(&self, prefix: Prefix, out: &mut Outbox) {
         let publications = self.writers.get(&wire::PUBLICATIONS_WRITER);
@@ -811,13 +934,23 @@ impl State {
         }
     }
 
-    /// Gives all readers of a participant to the writers that they match.
-    fn join_all(&mut self, prefix: Prefix, out: &mut Outbox) {
+    /// Brings the endpoints of a participant together with those of ours that they match: one, or all of a
+    /// side.
+    fn join(&mut self, prefix: Prefix, side: Side, only: Option<EntityId>, out: &mut Outbox) {
         let host = self.discovery.confirmed_host(prefix);
-        for reader in self.discovery.readers_of(prefix) {
+        for endpoint in self.discovery.endpoints_of(prefix, side) {
+            if only.is_some_and(|only| only != endpoint.guid.entity) {
+                continue;
+            }
+            if side == Side::Writers {
+                for reader in self.readers.values_mut() {
+                    self.ways.join_writer(reader, endpoint, host, out);
+                }
+                continue;
+            }
             for (offer, writer) in self.writers.values_mut() {
                 if let Some(offer) = offer {
-                    self.ways.join((offer, writer), reader, host, out);
+                    self.ways.join((offer, writer), endpoint, host, out);
                 }
             }
         }
@@ -829,8 +962,8 @@ impl State {
         if std::mem::take(&mut self.discovery.is_full) && is_due {
             self.told_full = Some(now);
             log::warn(format_args!(
-                "{MAX_PARTICIPANTS} participants or {MAX_READERS} subscribers are known on this ROS domain, the most \
-                 that there is room for: others may get nothing until some leave"
+                "{MAX_PARTICIPANTS} participants, or {MAX_ENDPOINTS} subscribers or publishers, are known on this ROS \
+                 domain, the most that there is room for: others may get nothing until some leave"
             ));
         }
     }
@@ -860,39 +993,76 @@ impl State {
                     writer.nack_fragment(from, number, missing, now, out);
                 }
             }
-            Submessage::Data { .. } | Submessage::Heartbeat { .. } | Submessage::Gap { .. } => {}
+            Submessage::Data(_) | Submessage::Heartbeat { .. } | Submessage::Gap { .. } => {}
         }
     }
 
     fn forget(&mut self, prefix: Prefix) {
-        for (_, writer) in self.writers.values_mut() {
-            writer.remove_readers(|guid| guid.prefix == prefix);
-        }
+        self.remove(|guid| guid.prefix == prefix);
         self.ways.forget(prefix);
     }
 
-    fn subscription_ended(&mut self, prefix: Prefix, number: u64, key: Option<Guid>) {
-        self.discovery.subscription_ended(prefix, number, key);
+    /// Endpoints of others are no more.
+    fn remove(&mut self, gone: impl Fn(Guid) -> bool) {
         for (_, writer) in self.writers.values_mut() {
-            writer.remove_readers(|guid| Some(guid) == key);
+            writer.remove_readers(&gone);
         }
-        self.ways.drop_unused();
+        for reader in self.readers.values_mut() {
+            reader.remove_writers(&gone);
+        }
     }
 
-    fn subscription(&mut self, prefix: Prefix, number: u64, payload: &[u8], out: &mut Outbox) {
-        let own = &self.addresses;
-        let Some(reader) = self.discovery.subscription(prefix, number, payload, own) else {
+    /// A participant tells of an endpoint of its.
+    fn told(&mut self, (prefix, side): (Prefix, Side), data: &Data, out: &mut Outbox) {
+        let Data {
+            number, payload, ..
+        } = *data;
+        if data.part.is_some() {
             return;
-        };
-        let reader = reader.clone();
-        let host = self.discovery.confirmed_host(prefix);
-        for (offer, writer) in self.writers.values_mut() {
-            if let Some(offer) = offer {
-                self.ways.join((offer, writer), &reader, host, out);
-            }
+        }
+        if data.disposed {
+            let key = data
+                .key
+                .or(parameters::guid(payload, parameters::ENDPOINT_GUID));
+            let key = key.filter(|key| key.prefix == prefix);
+            self.discovery.endpoint_ended(prefix, side, number, key);
+            self.remove(|guid| Some(guid) == key);
+        } else {
+            let own = &self.addresses;
+            let endpoint = self
+                .discovery
+                .endpoint((prefix, side), number, payload, own);
+            let Some(entity) = endpoint.map(|endpoint| endpoint.guid.entity) else {
+                return;
+            };
+            self.join(prefix, side, Some(entity), out);
         }
         // One that was here before may have moved.
         self.ways.drop_unused();
+    }
+
+    /// A writer of others sends a sample, or a part of one.
+    fn data(&mut self, prefix: Prefix, data: &Data) {
+        for reader in readers_named(&mut self.readers, data.reader) {
+            reader.data(Guid::new(prefix, data.writer), data);
+        }
+    }
+
+    /// A writer of others says what it has: our readers say what they miss.
+    fn heartbeat(
+        &mut self,
+        reader: EntityId,
+        writer: Guid,
+        first: u64,
+        last: u64,
+        out: &mut Outbox,
+    ) {
+        for own in readers_named(&mut self.readers, reader) {
+            if let Some((missing, place)) = own.heartbeat(writer, first, last) {
+                let message = self.ways.acknack(own.guid, writer, &missing);
+                out.message(place.address, message);
+            }
+        }
     }
 }
 

@@ -339,10 +339,12 @@ impl Message {
         self.0.extend(heartbeat.count.to_le_bytes());
     }
 
-    /// Says what our reader misses. Where it misses nothing, no answer is asked for.
+    /// Says what our reader misses. Where it misses nothing, no answer is asked for; one that has heard
+    /// of nothing yet, and says so by the base 0, asks what there is.
     pub fn acknack(&mut self, reader: EntityId, writer: EntityId, missing: &NumberSet, count: u32) {
         let words = missing.bits.div_ceil(32) as usize;
-        let flags = if missing.is_empty() { FINAL } else { 0 };
+        let asks = !missing.is_empty() || missing.base == 0;
+        let flags = if asks { 0 } else { FINAL };
         self.begin(ACKNACK, flags, 24 + 4 * words);
         self.0.extend(reader);
         self.0.extend(writer);
@@ -383,26 +385,73 @@ impl Fragments {
     }
 }
 
-/// A submessage that a writer alone has use for.
+/// Fragments of a sample that follow one another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Part {
+    /// The first of them, counted from 1.
+    pub first: u32,
+    /// How many.
+    pub count: u32,
+    /// Of which sample.
+    pub of: Fragments,
+}
+
+impl Part {
+    /// All of a sample that is not cut.
+    pub fn all(bytes: usize) -> Self {
+        Self {
+            first: 1,
+            count: 1,
+            of: Fragments {
+                fragment_bytes: bytes,
+                sample_bytes: bytes,
+            },
+        }
+    }
+
+    /// Their bytes, without padding; none where they do not fit the sample or the payload.
+    pub fn bytes(self, payload: &[u8]) -> Option<&[u8]> {
+        let at = (self.first.checked_sub(1)? as usize).checked_mul(self.of.fragment_bytes)?;
+        let left = self.of.sample_bytes.checked_sub(at)?;
+        let bytes = (self.count as usize).checked_mul(self.of.fragment_bytes)?;
+        payload.get(..bytes.min(left))
+    }
+}
+
+/// A sample, or a part of one: something new, or the end of something.
+#[derive(Debug, PartialEq)]
+pub struct Data<'a> {
+    /// [`ANY_READER`], or one.
+    pub reader: EntityId,
+    /// Whose sample it is.
+    pub writer: EntityId,
+    /// Its number.
+    pub number: u64,
+    /// What it is about, where that stands inline.
+    pub key: Option<Guid>,
+    /// That is no more.
+    pub disposed: bool,
+    /// What of the sample the payload is; none for all.
+    pub part: Option<Part>,
+    /// Its bytes, which may have padding behind them.
+    pub payload: &'a [u8],
+}
+
+/// A submessage that we have use for.
 #[derive(Debug, PartialEq)]
 pub enum Submessage<'a> {
-    /// A sample: something new, or the end of something.
-    Data {
-        writer: EntityId,
-        number: u64,
-        /// What it is about, where that stands inline.
-        key: Option<Guid>,
-        disposed: bool,
-        payload: &'a [u8],
-    },
+    /// A sample.
+    Data(Data<'a>),
     /// What a writer has.
     Heartbeat {
+        reader: EntityId,
         writer: EntityId,
         first: u64,
         last: u64,
     },
     /// What a writer will never send: from `first` to before the base of `more`, and `more`.
     Gap {
+        reader: EntityId,
         writer: EntityId,
         first: u64,
         more: NumberSet,
@@ -490,11 +539,12 @@ impl<'a> Iterator for Submessages<'a> {
 fn read_submessage(kind: u8, flags: u8, fields: Fields) -> Option<Submessage> {
     let [first_entity, second_entity] = [fields.array(0)?, fields.array(4)?];
     match kind {
-        DATA => read_data(flags, fields),
+        DATA | DATA_FRAGMENT => read_data(kind, flags, fields),
         HEARTBEAT => {
             let (first, last) = (fields.number(8)?, fields.number(16)?);
             // An empty history says that its last is one before its first.
             (first >= 1 && last + 1 >= first).then_some(Submessage::Heartbeat {
+                reader: first_entity,
                 writer: second_entity,
                 first,
                 last,
@@ -503,6 +553,7 @@ fn read_submessage(kind: u8, flags: u8, fields: Fields) -> Option<Submessage> {
         GAP => {
             let more = NumberSet::read(fields, fields.number(16)?, 24)?.0;
             Some(Submessage::Gap {
+                reader: first_entity,
                 writer: second_entity,
                 first: fields.number(8)?,
                 more,
@@ -526,7 +577,18 @@ fn read_submessage(kind: u8, flags: u8, fields: Fields) -> Option<Submessage> {
     }
 }
 
-fn read_data(flags: u8, fields: Fields) -> Option<Submessage> {
+fn read_data(kind: u8, flags: u8, fields: Fields) -> Option<Submessage> {
+    let part = match kind {
+        DATA_FRAGMENT => Some(Part {
+            first: fields.u32(20)?,
+            count: fields.u16(24)?.into(),
+            of: Fragments {
+                fragment_bytes: fields.u16(26)?.into(),
+                sample_bytes: fields.u32(28)? as usize,
+            },
+        }),
+        _ => None,
+    };
     let mut at = 4 + usize::from(fields.u16(2)?);
     let mut key = None;
     let mut disposed = false;
@@ -544,14 +606,16 @@ fn read_data(flags: u8, fields: Fields) -> Option<Submessage> {
             at += length;
         }
     }
-    let has_payload = flags & (HAS_DATA | HAS_KEY) != 0;
-    Some(Submessage::Data {
+    let has_payload = part.is_some() || flags & (HAS_DATA | HAS_KEY) != 0;
+    Some(Submessage::Data(Data {
+        reader: fields.array(4)?,
         writer: fields.array(8)?,
         number: fields.number(12)?,
         key,
         disposed,
+        part,
         payload: if has_payload { fields.from(at)? } else { &[] },
-    })
+    }))
 }
 
 #[cfg(test)]
@@ -668,6 +732,7 @@ mod tests {
         datagram.extend([0, 0, 0, 1, 0, 0, 0, 3, 0, 0, 0, 7]);
         let read: Vec<Submessage> = read(&datagram, OURS).unwrap().collect();
         let expected = Submessage::Heartbeat {
+            reader: READER,
             writer: WRITER,
             first: 0x1_0000_0002,
             last: 0x1_0000_0003,

@@ -4,7 +4,7 @@
 //! an [`Outbox`]; no reader is waited for. A reader that asks for what the history no longer has
 //! gets a gap.
 
-use super::discovery::{Place, ReaderData};
+use super::discovery::{Endpoint, Place};
 use super::flow::{Delivery, Kind, Link, Progress, Pulse, Step};
 use super::sample::{Body, Sample};
 use super::wire::{Guid, Message, NumberSet, Prefix};
@@ -28,47 +28,6 @@ pub const OUTBOX: usize = 1024;
 
 /// Old buffers that are kept for new samples.
 const SPARE_BUFFERS: usize = 2;
-
-/// What a writer offers.
-#[derive(Clone, Debug)]
-pub struct Offer {
-    /// Its topic in DDS, as `rt/points`.
-    pub topic: String,
-    /// Its type in DDS, as `sensor_msgs::msg::dds_::PointCloud2_`.
-    pub type_name: String,
-    /// The hash of its type, as ROS 2 has it since Iron.
-    pub type_hash: &'static str,
-    /// Whether readers that come late get its history.
-    pub transient_local: bool,
-    /// Samples in its history.
-    pub depth: usize,
-}
-
-/// How a reader and an offer go together.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Match {
-    /// They do.
-    Yes,
-    /// Another topic or type.
-    No,
-    /// The reader asks for this, which is not offered.
-    AsksFor(&'static str),
-}
-
-impl Offer {
-    /// Whether a reader gets our samples. All of ours are reliable.
-    pub fn matches(&self, reader: &ReaderData) -> Match {
-        if self.topic != reader.topic || self.type_name != reader.type_name {
-            Match::No
-        } else if let Some(promise) = reader.promise {
-            Match::AsksFor(promise)
-        } else if reader.transient_local && !self.transient_local {
-            Match::AsksFor("messages from before it was there (durability transient local)")
-        } else {
-            Match::Yes
-        }
-    }
-}
 
 /// What others see of a writer without its lock.
 #[derive(Debug, Default)]
@@ -222,7 +181,7 @@ impl Writer {
     /// sides want that.
     pub fn add_reader(
         &mut self,
-        data: &ReaderData,
+        data: &Endpoint,
         link: Arc<Link>,
         is_confirmed: bool,
         now: Instant,
