@@ -5,8 +5,9 @@ use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::messages::diagnostics::{self, Level, Status};
 use sweepd::messages::graph::{self, GidForm, Node};
 use sweepd::messages::message_type::{
-    DIAGNOSTIC_ARRAY, IMAGE, MessageType, PARTICIPANT_ENTITIES_INFO, TF_MESSAGE,
+    DIAGNOSTIC_ARRAY, IMAGE, MessageType, ODOMETRY, PARTICIPANT_ENTITIES_INFO, TF_MESSAGE,
 };
+use sweepd::messages::odometry::Located;
 use sweepd::messages::transforms::{self, Transform};
 use sweepd::messages::{MessageHeader, Stamp, image};
 use sweepd::sweep::{Shape, SweepMut, SweepRef};
@@ -117,4 +118,37 @@ fn ros_reads_every_type() {
     let expected = Value::Object(all);
     std::fs::write(folder.join("expected.json"), expected.to_string()).unwrap();
     assert_eq!(python("messages.py", &[folder.as_os_str()]).trim(), "6");
+}
+
+/// What ROS writes is read, of either byte order; what is cut off is refused, and nothing else is read
+/// into it.
+#[test]
+#[cfg_attr(without_rosbags, ignore = "no SWEEPD_ROS_PYTHON")]
+fn where_a_robot_is_is_read_as_ros_wrote_it() {
+    let folder = folder("odometry");
+    for kind in [&ODOMETRY, &TF_MESSAGE] {
+        let (_, name) = kind.name.rsplit_once('/').unwrap();
+        std::fs::write(folder.join(name).with_extension("txt"), kind.definition).unwrap();
+    }
+    let hashes = python("located.py", &[folder.as_os_str()]);
+    assert_eq!(hashes.trim(), [ODOMETRY.hash, TF_MESSAGE.hash].join("\n"));
+    let expected = Located {
+        time_ns: 1_700_000_000_000_000_005,
+        parent: "odom",
+        child: "base_link",
+        position_m: [1.0, 2.0, 3.0],
+        rotation: [0.5, -0.5, 0.5, 0.5],
+    };
+    for order in ["little", "big"] {
+        let read = |name: &str| std::fs::read(folder.join(name).with_extension(order)).unwrap();
+        let (odometry, transforms) = (read("Odometry"), read("TFMessage"));
+        assert_eq!(Located::of_odometry(&odometry), Ok(expected));
+        let found = Located::of_transforms(&transforms, "base_link");
+        assert_eq!(found, Ok(Some(expected)));
+        assert_eq!(Located::of_transforms(&transforms, "roof"), Ok(None));
+        for cut in 0..transforms.len() {
+            let found = Located::of_transforms(&transforms[..cut], "base_link");
+            assert!(found.is_err(), "{cut}");
+        }
+    }
 }

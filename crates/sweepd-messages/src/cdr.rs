@@ -1,8 +1,10 @@
-//! Writes CDR, the format of messages in DDS and in bags: plain, little-endian (XCDR1, OMG CDR
-//! section 15.3).
+//! Writes and reads CDR, the format of messages in DDS and in bags: plain (XCDR1, OMG CDR section
+//! 15.3), written little-endian.
 //!
 //! A value lies at a multiple of its size, counted from the end of the 4 bytes of encapsulation. A
 //! text has its length in front, the NUL behind it included; a sequence its number of items.
+
+use thiserror::Error;
 
 /// The encapsulation: plain CDR, little-endian, no options.
 pub const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
@@ -108,6 +110,115 @@ impl<'a> Writer<'a> {
     }
 }
 
+/// Reads one message of either byte order. Each value is checked against the end of the bytes, and
+/// nothing is allocated.
+#[derive(Clone, Debug)]
+pub struct Reader<'a> {
+    /// Behind the encapsulation.
+    bytes: &'a [u8],
+    at: usize,
+    is_big_endian: bool,
+}
+
+/// Why bytes are no message of a type.
+#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum CdrError {
+    /// It has another encapsulation.
+    #[error("it is no plain CDR")]
+    Encapsulation,
+    /// It ends too early.
+    #[error("it ends within a value")]
+    Short,
+    /// It has a text that is none.
+    #[error("a text of it is no UTF-8 with a NUL behind it")]
+    Text,
+}
+
+macro_rules! read_number {
+    ($($name:ident: $type:ty),*) => {$(
+        #[doc = concat!("Reads a `", stringify!($type), "`.")]
+        ///
+        /// # Errors
+        /// [`CdrError::Short`].
+        pub fn $name(&mut self) -> Result<$type, CdrError> {
+            self.number().map(<$type>::from_le_bytes)
+        }
+    )*};
+}
+
+impl<'a> Reader<'a> {
+    /// Reads the encapsulation.
+    ///
+    /// # Errors
+    /// [`CdrError::Encapsulation`].
+    pub fn new(message: &'a [u8]) -> Result<Self, CdrError> {
+        let [0, order @ (0 | 1), _, _, bytes @ ..] = message else {
+            return Err(CdrError::Encapsulation);
+        };
+        Ok(Self {
+            bytes,
+            at: 0,
+            is_big_endian: *order == 0,
+        })
+    }
+
+    read_number!(u32: u32, i32: i32, f64: f64);
+
+    /// Reads a text.
+    ///
+    /// # Errors
+    /// [`CdrError::Short`], [`CdrError::Text`].
+    pub fn text(&mut self) -> Result<&'a str, CdrError> {
+        let len = self.u32()? as usize;
+        let bytes = self.bytes[self.at..].get(..len).ok_or(CdrError::Short)?;
+        self.at += len;
+        let text = bytes.strip_suffix(&[0]).ok_or(CdrError::Text)?;
+        std::str::from_utf8(text).map_err(|_| CdrError::Text)
+    }
+
+    /// Reads a `builtin_interfaces/Time`: nanoseconds since 1970.
+    ///
+    /// # Errors
+    /// [`CdrError::Short`].
+    pub fn time(&mut self) -> Result<i64, CdrError> {
+        let seconds = i64::from(self.i32()?);
+        Ok(seconds * 1_000_000_000 + i64::from(self.u32()?))
+    }
+
+    /// Reads a `std_msgs/Header`: nanoseconds since 1970, and the frame.
+    ///
+    /// # Errors
+    /// As [`Reader::text`].
+    pub fn header(&mut self) -> Result<(i64, &'a str), CdrError> {
+        Ok((self.time()?, self.text()?))
+    }
+
+    /// Reads `f64`s.
+    ///
+    /// # Errors
+    /// [`CdrError::Short`].
+    pub fn f64s<const COUNT: usize>(&mut self) -> Result<[f64; COUNT], CdrError> {
+        let mut values = [0.0; COUNT];
+        for value in &mut values {
+            *value = self.f64()?;
+        }
+        Ok(values)
+    }
+
+    /// The bytes of a number, the least significant first.
+    fn number<const BYTES: usize>(&mut self) -> Result<[u8; BYTES], CdrError> {
+        let at = self.at.next_multiple_of(BYTES);
+        let rest = self.bytes.get(at..).ok_or(CdrError::Short)?;
+        let mut bytes = *rest.first_chunk().ok_or(CdrError::Short)?;
+        self.at = at + BYTES;
+        if self.is_big_endian {
+            bytes.reverse();
+        }
+        Ok(bytes)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -140,5 +251,32 @@ mod tests {
         assert_eq!(time(1_700_000_000_000_000_001), (1_700_000_000, 1));
         assert_eq!(time(-1), (-1, 999_999_999));
         assert_eq!(time(i64::MAX), (i32::MAX, 854_775_807));
+    }
+    /// By hand: each byte order, and what is cut off or is no text.
+    #[test]
+    fn values_of_both_byte_orders_are_read_and_no_further() {
+        let little = *b"\0\x01\0\0\x03\0\0\0ab\0\0\0\0\0\0\0\0\xf0\x3f";
+        let big = *b"\0\0\0\0\0\0\0\x03ab\0\0\x3f\xf0\0\0\0\0\0\0";
+        let read = |message: &[u8]| {
+            let mut reader = Reader::new(message)?;
+            let text = reader.text()?.to_owned();
+            Ok((text, reader.f64()?))
+        };
+        assert_eq!(read(&little), Ok(("ab".to_owned(), 1.0)));
+        assert_eq!(read(&big), Ok(("ab".to_owned(), 1.0)));
+        for len in 0..little.len() {
+            assert!(read(&little[..len]).is_err(), "{len}");
+        }
+        for (at, byte, error) in [
+            (1, 3, CdrError::Encapsulation),
+            (7, 0xFF, CdrError::Short),
+            (4, 2, CdrError::Text),
+            (4, 0, CdrError::Text),
+            (8, 0xFF, CdrError::Text),
+        ] {
+            let mut wrong = little;
+            wrong[at] = byte;
+            assert_eq!(read(&wrong), Err(error), "{at}");
+        }
     }
 }

@@ -57,11 +57,18 @@ pub static DIAGNOSTIC_ARRAY: MessageType = MessageType {
     definition: include_str!("../definitions/DiagnosticArray.txt"),
 };
 
-/// Where a sensor sits: [`crate::transforms`].
+/// Where a sensor sits: [`crate::transforms`]; where the robot is, to read: [`crate::odometry`].
 pub static TF_MESSAGE: MessageType = MessageType {
     name: "tf2_msgs/msg/TFMessage",
     hash: "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
     definition: include_str!("../definitions/TFMessage.txt"),
+};
+
+/// Where the robot is, to read: [`crate::odometry`].
+pub static ODOMETRY: MessageType = MessageType {
+    name: "nav_msgs/msg/Odometry",
+    hash: "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
+    definition: include_str!("../definitions/Odometry.txt"),
 };
 
 /// The nodes of a participant: [`crate::graph`]. Hash and definition are those since Iron.
@@ -72,13 +79,14 @@ pub static PARTICIPANT_ENTITIES_INFO: MessageType = MessageType {
 };
 
 /// All of them.
-pub static ALL: [&MessageType; 7] = [
+pub static ALL: [&MessageType; 8] = [
     &POINT_CLOUD,
     &IMAGE,
     &LASER_SCAN,
     &MARKER_ARRAY,
     &DIAGNOSTIC_ARRAY,
     &TF_MESSAGE,
+    &ODOMETRY,
     &PARTICIPANT_ENTITIES_INFO,
 ];
 
