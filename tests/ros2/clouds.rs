@@ -9,7 +9,7 @@ use sweepd_lab::testkit::PATIENCE;
 
 use super::alone;
 use super::expected::{Consumer, decode_raw};
-use super::peer::{Peer, Said, fastdds_reader};
+use super::peer::{Peer, Said, fastdds_peer};
 use super::world::{FRONT_MOUNT, ROOF_MOUNT, World, hdl64e, vlp16};
 
 /// DDS domains of this test: one for each version of Fast DDS.
@@ -85,7 +85,7 @@ fn every_peer_gets_every_cloud_as_shared_memory_has_it() {
     let _alone = alone();
     let world = World::new(&[("roof", ROOF_MOUNT), ("front", FRONT_MOUNT)]);
     let (vlp16, hdl64e) = (vlp16(), hdl64e());
-    fastdds_reader();
+    fastdds_peer();
     let daemon = world.daemon();
     let truth = Truth {
         roof: Consumer::start(&world.domain(), "roof"),

@@ -1,7 +1,7 @@
 """Cyclone DDS, the other usual middleware of ROS 2, without ROS: it announces no type hashes, as ROS before Iron.
 
 Its argument is a JSON object: {"domain": number, "clouds": [topic, ...], "markers": [topic, ...], "transforms": bool,
-"graph": bool, "data": bool, "qualities": [...]}. It tells what it hears as ros_peer.py does. Clouds are decoded by rosbags,
+"graph": bool, "data": bool, "qualities": [...], "publish": [...]}. It tells and publishes as ros_peer.py does. Clouds are decoded by rosbags,
 the rest by Cyclone itself.
 """
 
@@ -17,6 +17,7 @@ from cyclonedds.core import InstanceState, Policy, Qos, ReadCondition, SampleSta
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl.types import array, float32, float64, int32, sequence, uint8, uint32
+from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
@@ -140,9 +141,21 @@ def main():
         hear("rt/tf_static", Tf, late, lambda raw: say_transforms(Tf.deserialize(raw)))
     if wanted.get("graph"):
         hear("ros_discovery_info", Graph, late, lambda raw: say_graph(Graph.deserialize(raw)))
+    writers = []
+    for topic, quality, size in wanted.get("publish", []):
+        qos = Qos(QUALITIES[quality], Policy.History.KeepLast(5))
+        writers.append((DataWriter(participant, Topic(participant, "rt" + topic, Cloud), qos=qos), size))
     say({"ready": True})
+    number = 0
     while True:
-        waits.wait(duration(milliseconds=100))
+        if writers:
+            number += 1
+            time.sleep(0.05)
+        for writer, size in writers:
+            data = [number % 256] * size
+            writer.write(Cloud(header=Header(stamp=Time(sec=number, nanosec=0), frame_id=""), height=0, width=0, fields=[],
+                               is_bigendian=False, point_step=0, row_step=0, data=data, is_dense=False))
+        waits.wait(duration(milliseconds=0 if writers else 100))
         for reader, heard in readers:
             samples = ddspy_take(reader._ref, ANY, 8)
             assert not isinstance(samples, int), samples

@@ -16,6 +16,7 @@ mod far;
 mod measure;
 mod parts;
 mod peer;
+mod subscriptions;
 mod world;
 
 use std::process::{Command, Stdio};

@@ -66,9 +66,9 @@ impl Peer {
     }
 
     /// Debian's Fast DDS.
-    pub fn fastdds(dds_domain: u32, topics: &[&str]) -> Self {
-        let mut command = Command::new(fastdds_reader());
-        command.arg(dds_domain.to_string()).args(topics);
+    pub fn fastdds(dds_domain: u32, words: &[&str]) -> Self {
+        let mut command = Command::new(fastdds_peer());
+        command.arg(dds_domain.to_string()).args(words);
         Self::start(command, dds_domain)
     }
 
@@ -149,14 +149,14 @@ pub fn script(name: &str) -> PathBuf {
         .join(name)
 }
 
-/// The reader for Debian's Fast DDS, compiled once.
-pub fn fastdds_reader() -> &'static OsStr {
-    static READER: OnceLock<PathBuf> = OnceLock::new();
-    let reader = READER.get_or_init(|| {
-        let program = Path::new(env!("CARGO_TARGET_TMPDIR")).join("fastdds_reader");
+/// The peer with Debian's Fast DDS, compiled once.
+pub fn fastdds_peer() -> &'static OsStr {
+    static PEER: OnceLock<PathBuf> = OnceLock::new();
+    let peer = PEER.get_or_init(|| {
+        let program = Path::new(env!("CARGO_TARGET_TMPDIR")).join("fastdds_peer");
         let compiled = Command::new("c++")
             .args(["-std=c++17", "-O1"])
-            .arg(script("fastdds_reader.cpp"))
+            .arg(script("fastdds_peer.cpp"))
             .arg("-o")
             .arg(&program)
             .args(["-lfastrtps", "-lfastcdr"])
@@ -164,5 +164,5 @@ pub fn fastdds_reader() -> &'static OsStr {
         assert!(compiled.unwrap().success(), "needs libfastrtps-dev");
         program
     });
-    reader.as_os_str()
+    peer.as_os_str()
 }

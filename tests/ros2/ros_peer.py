@@ -1,7 +1,9 @@
-"""A node of ROS 2 that tells what it hears: rclpy, its own deserialiser, and the graph as it sees it.
+"""A node of ROS 2 that tells what it hears, and publishes: rclpy, its own deserialiser, and the graph as it sees it.
 
 Its argument is a JSON object: {"clouds": [topic, ...], "images": [topic, ...], "scans": [topic, ...],
-"diagnostics": bool, "data": bool, "qualities": ["best_effort", "reliable"], "nodes": bool}. On standard output each message is a line of JSON; with "bytes"
+"diagnostics": bool, "data": bool, "qualities": ["best_effort", "reliable"], "nodes": bool,
+"publish": [[topic, quality, bytes], ...]}: those clouds 20 times a second, numbered by the seconds of their stamps from 1 on, or one on a
+topic that is "transient_local". On standard output each message is a line of JSON; with "bytes"
 in it, that many bytes of the message's data follow.
 """
 
@@ -13,7 +15,7 @@ import time
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image, LaserScan, PointCloud2
 
 # Deeper than usual: what is judged is what arrives, not how fast Python takes it.
@@ -21,6 +23,9 @@ DEPTH = 50
 QUALITIES = {
     "best_effort": QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT),
     "reliable": QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE),
+}
+OFFERS = QUALITIES | {
+    "transient_local": QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL),
 }
 
 
@@ -62,6 +67,22 @@ class Peer(Node):
         if wanted.get("diagnostics"):
             self.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics, 10)
 
+        for topic, quality, size in wanted.get("publish", []):
+            self.publish(self.create_publisher(PointCloud2, topic, OFFERS[quality]), quality, size)
+
+    def publish(self, publisher, quality, size):
+        cloud = PointCloud2()
+
+        def send():
+            cloud.header.stamp.sec += 1
+            cloud.data = bytes([cloud.header.stamp.sec % 256]) * size
+            publisher.publish(cloud)
+
+        if quality == "transient_local":
+            send()
+        else:
+            self.create_timer(0.05, send)
+
     def hear(self, kind, topic, quality, heard):
         self.create_subscription(kind, topic, lambda message: heard(topic, quality, message), QUALITIES[quality])
 
@@ -96,11 +117,12 @@ class Peer(Node):
     def look(self):
         """Tells of the graph when it has changed."""
         nodes = sorted(namespace.rstrip("/") + "/" + name for name, namespace in self.get_node_names_and_namespaces())
-        publishers = {}
+        publishers, subscriptions = {}, {}
         if "/sweepd" in nodes:
             # The node goes while it is asked for.
             try:
                 topics = self.get_publisher_names_and_types_by_node("sweepd", "/")
+                subscriptions = dict(self.get_subscriber_names_and_types_by_node("sweepd", "/"))
             except rclpy._rclpy_pybind11.NodeNameNonExistentError:
                 topics = []
             for topic, _ in topics:
@@ -109,7 +131,7 @@ class Peer(Node):
                      "hash": str(info.topic_type_hash), "reliability": info.qos_profile.reliability.name,
                      "durability": info.qos_profile.durability.name}
                     for info in self.get_publishers_info_by_topic(topic)]
-        graph = {"nodes": nodes, "publishers": publishers}
+        graph = {"nodes": nodes, "publishers": publishers, "subscriptions": subscriptions}
         if graph != self.graph:
             self.graph = graph
             say({"graph": graph})

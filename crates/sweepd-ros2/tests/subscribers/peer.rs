@@ -303,6 +303,8 @@ impl Peer {
     fn submessage(&mut self, kind: u8, flags: u8, body: &[u8]) {
         match kind {
             0x06 if body[4..8] == [0, 0, 4, 0xc2] => self.tell_readers(),
+            // Of writers it has nothing to tell.
+            0x06 => assert_eq!(body[4..8], [0, 0, 3, 0xc2]),
             0x07 => self.heartbeat(body),
             0x08 => {
                 let writer: [u8; 4] = body[4..8].try_into().unwrap();
@@ -374,7 +376,7 @@ impl Peer {
         let (first, last) = (long(body, 8), long(body, 16));
         let received = self.received.entry(writer).or_default();
         received.heartbeat = Some((first, last));
-        if self.asks || writer == [0, 0, 3, 0xc2] {
+        if self.asks || writer[3] == 0xc2 {
             self.ask(writer, first, last);
         }
     }
@@ -382,7 +384,7 @@ impl Peer {
     /// Asks for what it misses of those samples.
     pub fn ask(&mut self, writer: [u8; 4], first: u64, last: u64) {
         let reader = match writer {
-            [0, 0, 3, 0xc2] => [0, 0, 3, 0xc7],
+            [0, 0, of, 0xc2] => [0, 0, of, 0xc7],
             _ => [0, 0, 1, 4],
         };
         let received = self.received.entry(writer).or_default();

@@ -1,19 +1,27 @@
 // Debian's Fast DDS 2.9, as close to Humble's as packages come: it announces no type hashes. Takes clouds and keeps their
 // bytes, which the test decodes.
 //
-// fastdds_reader DOMAIN TOPIC...: on standard output a line of JSON for each message, and its bytes behind.
+// fastdds_peer DOMAIN TOPIC...: on standard output a line of JSON for each message, and its bytes behind.
+// fastdds_peer DOMAIN publish TOPIC QUALITY BYTES...: bytes of clouds 20 times a second, the first of them a number from 1 on.
 
+#include <algorithm>
+#include <chrono>
 #include <condition_variable>
 #include <cstdio>
 #include <cstdlib>
+#include <cstring>
 #include <deque>
 #include <memory>
 #include <mutex>
 #include <string>
+#include <thread>
+#include <utility>
 #include <vector>
 
 #include <fastdds/dds/domain/DomainParticipant.hpp>
 #include <fastdds/dds/domain/DomainParticipantFactory.hpp>
+#include <fastdds/dds/publisher/DataWriter.hpp>
+#include <fastdds/dds/publisher/Publisher.hpp>
 #include <fastdds/dds/subscriber/DataReader.hpp>
 #include <fastdds/dds/subscriber/DataReaderListener.hpp>
 #include <fastdds/dds/subscriber/SampleInfo.hpp>
@@ -38,13 +46,18 @@ public:
         m_isGetKeyDefined = false;
         setName("sensor_msgs::msg::dds_::PointCloud2_");
     }
-    bool serialize(void*, SerializedPayload_t*) override { return false; }
+    bool serialize(void* data, SerializedPayload_t* payload) override {
+        const auto& bytes = *static_cast<Bytes*>(data);
+        payload->length = bytes.size();
+        std::copy(bytes.begin(), bytes.end(), payload->data);
+        return true;
+    }
     bool deserialize(SerializedPayload_t* payload, void* data) override {
         static_cast<Bytes*>(data)->assign(payload->data, payload->data + payload->length);
         return true;
     }
-    std::function<uint32_t()> getSerializedSizeProvider(void*) override {
-        return [] { return 0u; };
+    std::function<uint32_t()> getSerializedSizeProvider(void* data) override {
+        return [data] { return uint32_t(static_cast<Bytes*>(data)->size()); };
     }
     void* createData() override { return new Bytes; }
     void deleteData(void* data) override { delete static_cast<Bytes*>(data); }
@@ -102,6 +115,34 @@ private:
     std::string head_;
 };
 
+// What is behind "publish" on the command line, for ever.
+void publish(DomainParticipant* participant, const TypeSupport& type, int argc, char** argv) {
+    std::vector<std::pair<DataWriter*, size_t>> writers;
+    auto* publisher = participant->create_publisher(PUBLISHER_QOS_DEFAULT);
+    for (int i = 3; i + 2 < argc; i += 3) {
+        auto* topic = participant->create_topic(std::string("rt") + argv[i], type.get_type_name(), TOPIC_QOS_DEFAULT);
+        DataWriterQos how = DATAWRITER_QOS_DEFAULT;
+        how.reliability().kind =
+            argv[i + 1] == std::string("reliable") ? RELIABLE_RELIABILITY_QOS : BEST_EFFORT_RELIABILITY_QOS;
+        how.history().kind = KEEP_LAST_HISTORY_QOS;
+        how.history().depth = 5;
+        how.publish_mode().kind = ASYNCHRONOUS_PUBLISH_MODE;
+        how.endpoint().history_memory_policy = eprosima::fastrtps::rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
+        writers.emplace_back(publisher->create_datawriter(topic, how), std::atoi(argv[i + 2]));
+    }
+    for (uint32_t number = 1;; ++number) {
+        std::this_thread::sleep_for(std::chrono::milliseconds(50));
+        for (const auto& [writer, size] : writers) {
+            // Encapsulation, the number, and bytes of it.
+            Bytes bytes(4 + 4 + size, uint8_t(number));
+            const uint8_t head[] = {0, 1, 0, 0};
+            std::copy(head, head + 4, bytes.begin());
+            std::memcpy(&bytes[4], &number, 4);
+            writer->write(&bytes);
+        }
+    }
+}
+
 int main(int argc, char** argv) {
     if (argc < 3) return 2;
     // Large pieces of a cloud at a time.
@@ -117,6 +158,11 @@ int main(int argc, char** argv) {
     if (!participant) return 1;
     TypeSupport type(new RawCloud);
     type.register_type(participant);
+    if (argv[2] == std::string("publish")) {
+        std::printf("{\"ready\": true}\n");
+        std::fflush(stdout);
+        publish(participant, type, argc, argv);
+    }
     auto* subscriber = participant->create_subscriber(SUBSCRIBER_QOS_DEFAULT);
     Output output;
     std::vector<std::unique_ptr<Teller>> tellers;
