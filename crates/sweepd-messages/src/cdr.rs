@@ -40,7 +40,7 @@ impl<'a> Writer<'a> {
         Self { bytes, origin }
     }
 
-    number!(u8: u8, u32: u32, i32: i32, f32: f32, f64: f64);
+    number!(u8: u8, u32: u32, i32: i32, i64: i64, f32: f32, f64: f64);
 
     /// Writes a truth value.
     pub fn bool(&mut self, value: bool) {
@@ -163,7 +163,7 @@ impl<'a> Reader<'a> {
         })
     }
 
-    read_number!(u32: u32, i32: i32, f64: f64);
+    read_number!(u8: u8, u32: u32, i32: i32, i64: i64, f64: f64);
 
     /// Reads a text.
     ///

@@ -2,7 +2,7 @@
 //!
 //! An encoder takes a [`SweepRef`](sweepd_sweep::SweepRef) and appends the bytes of a message to
 //! a `Vec<u8>`, in one pass: [`cloud`], [`image`], [`markers`], [`scan`], [`transforms`]; [`diagnostics`] and
-//! [`graph`] take what the caller knows; [`odometry`] is read. The bytes are those that ROS 2 puts on the wire and into
+//! [`graph`] take what the caller knows; [`odometry`] is read, and requests of [`rcl`]. The bytes are those that ROS 2 puts on the wire and into
 //! bags: CDR, with 4 bytes of encapsulation in front; see [`cdr`]. [`message_type`] says which
 //! message they are.
 //!
@@ -24,6 +24,7 @@ pub mod names;
 pub mod odometry;
 pub mod palette;
 mod rays;
+pub mod rcl;
 pub mod scan;
 pub mod stamp;
 pub mod transforms;

@@ -25,5 +25,6 @@ mod rtps;
 
 pub use environment::{DiscoveryRange, Environment, EnvironmentError};
 pub use node::{
-    Durability, Node, NodeError, Publisher, Quality, Statistics, Subscriber, Subscription,
+    Durability, Node, NodeError, Publisher, Quality, Request, Service, Statistics, Subscriber,
+    Subscription,
 };

@@ -1,21 +1,32 @@
 //! A ROS 2 node that publishes and subscribes: names as ROS has them, and the graph that its tools show.
 
 use crate::environment::Environment;
+use crate::rtps::flow::lock;
 use crate::rtps::participant::{Participant, ReaderHandle, WriterHandle};
+use crate::rtps::reader::Sample;
 use crate::rtps::sample::Body;
 use crate::rtps::terms::Terms;
 use std::io;
 use std::net::SocketAddrV4;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::{Duration, Instant};
 use sweepd_messages::graph::{self, Gid, GidForm};
 use sweepd_messages::message_type::{self, MessageType};
+use sweepd_messages::rcl::{self, ServiceType};
 
 /// Samples that a reader can ask for again.
 const DEPTH: usize = 5;
 
 /// Largest message that a subscription takes, in bytes.
 const LARGEST_MESSAGE: usize = 1 << 20;
+
+/// The same of a service, and requests that wait.
+const LARGEST_REQUEST: usize = 1 << 16;
+const SERVICE_DEPTH: usize = 10;
+
+/// How long a request waits for its client to be told of who answers.
+const CLIENT_HEARS_WITHIN: Duration = Duration::from_secs(1);
 
 /// Longest name of a node, and longest of a topic with its namespace, in bytes.
 const LONGEST_NODE_NAME: usize = 255;
@@ -152,22 +163,49 @@ impl Node {
         let name = self.inner.resolve(topic);
         check_name("topic", topic, is_topic(&name))?;
         let transient_local = durability == Durability::TransientLocal;
-        let writer = self.inner.participant.add_writer(Terms {
-            topic: format!("rt{name}"),
-            type_name: message_type.dds_name(),
-            type_hash: message_type.hash,
+        let depth = if transient_local { 1 } else { DEPTH };
+        Ok(self
+            .inner
+            .publisher(name, message_type, transient_local, depth))
+    }
+
+    /// Offers lines of the log on `/rosout`, as every node of ROS does: late readers get the last 1,000.
+    pub fn rosout(&self) -> Publisher {
+        self.inner
+            .publisher("/rosout".to_owned(), &rcl::LOG, true, 1000)
+    }
+
+    /// Offers a service below the node's name. Clients of rmw_fastrtps are answered; rmw_cyclonedds puts
+    /// the number of a request into the message, and is not.
+    ///
+    /// # Errors
+    /// A name that ROS does not take: the node's name leaves no room.
+    pub fn service(&self, service: &'static ServiceType) -> Result<Service, NodeError> {
+        let name = self.inner.resolve(&format!("~/{}", service.name));
+        check_name("service", &name, is_topic(&name))?;
+        let terms = |topic: String, message: &MessageType| Terms {
+            topic,
+            type_name: message.dds_name(),
+            type_hash: message.hash,
             reliable: true,
-            transient_local,
-            depth: if transient_local { 1 } else { DEPTH },
-        });
+            transient_local: false,
+            depth: SERVICE_DEPTH,
+        };
+        let participant = &self.inner.participant;
+        let replies = terms(format!("rr{name}Reply"), &service.reply);
+        let writer = participant.add_writer(replies);
+        let requests = terms(format!("rq{name}Request"), &service.request);
+        let reader = participant.add_reader(requests, LARGEST_REQUEST);
         let mut endpoints = self.inner.endpoints();
         endpoints.writers.push(writer.guid.bytes());
+        endpoints.readers.push(reader.guid.bytes());
         self.inner.tell(&endpoints);
         drop(endpoints);
-        Ok(Publisher {
+        Ok(Service {
             node: Arc::clone(&self.inner),
+            reader,
             writer,
-            topic: name,
+            early: Mutex::default(),
         })
     }
 
@@ -213,10 +251,50 @@ impl Drop for Node {
 }
 
 impl Inner {
+    fn publisher(
+        self: &Arc<Self>,
+        name: String,
+        message_type: &'static MessageType,
+        transient_local: bool,
+        depth: usize,
+    ) -> Publisher {
+        let writer = self.participant.add_writer(Terms {
+            topic: format!("rt{name}"),
+            type_name: message_type.dds_name(),
+            type_hash: message_type.hash,
+            reliable: true,
+            transient_local,
+            depth,
+        });
+        let mut endpoints = self.endpoints();
+        endpoints.writers.push(writer.guid.bytes());
+        self.tell(&endpoints);
+        drop(endpoints);
+        Publisher {
+            node: Arc::clone(self),
+            writer,
+            topic: name,
+        }
+    }
+
+    /// A writer, a reader, or both are no more.
+    fn remove(&self, writer: Option<&WriterHandle>, reader: Option<&ReaderHandle>) {
+        let mut endpoints = self.endpoints();
+        if let Some(writer) = writer {
+            self.participant.remove_writer(writer);
+            let gone = writer.guid.bytes();
+            endpoints.writers.retain(|other| *other != gone);
+        }
+        if let Some(reader) = reader {
+            self.participant.remove_reader(reader);
+            let gone = reader.guid.bytes();
+            endpoints.readers.retain(|other| *other != gone);
+        }
+        self.tell(&endpoints);
+    }
+
     fn endpoints(&self) -> MutexGuard<'_, Endpoints> {
-        self.endpoints
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
+        lock(&self.endpoints)
     }
 
     /// Tells the graph which publishers and subscriptions there are.
@@ -326,11 +404,7 @@ impl Publisher {
 
 impl Drop for Publisher {
     fn drop(&mut self) {
-        self.node.participant.remove_writer(&self.writer);
-        let mut endpoints = self.node.endpoints();
-        let gone = self.writer.guid.bytes();
-        endpoints.writers.retain(|writer| *writer != gone);
-        self.node.tell(&endpoints);
+        self.node.remove(Some(&self.writer), None);
     }
 }
 
@@ -362,11 +436,56 @@ impl Subscription {
 
 impl Drop for Subscription {
     fn drop(&mut self) {
-        self.node.participant.remove_reader(&self.reader);
-        let mut endpoints = self.node.endpoints();
-        let gone = self.reader.guid.bytes();
-        endpoints.readers.retain(|reader| *reader != gone);
-        self.node.tell(&endpoints);
+        self.node.remove(None, Some(&self.reader));
+    }
+}
+
+/// A service of a node. When it is dropped, others see that it has gone.
+pub struct Service {
+    node: Arc<Inner>,
+    reader: ReaderHandle,
+    writer: WriterHandle,
+    /// A request whose client does not hear answers yet, and since when it waits.
+    early: Mutex<Option<(Sample, Instant)>>,
+}
+
+/// A request of a client.
+pub struct Request(Sample);
+
+impl Request {
+    /// CDR, its encapsulation of 4 bytes included. Anyone on the ROS domain can have sent it.
+    pub fn message(&self) -> &[u8] {
+        &self.0.payload
+    }
+}
+
+impl Service {
+    /// Takes the oldest request that waits, if there is one. It never waits.
+    pub fn take(&self) -> Option<Request> {
+        let mut early = lock(&self.early);
+        let (sample, since) = match early.take() {
+            Some(early) => early,
+            None => (self.reader.inbox.take()?, Instant::now()),
+        };
+        let participant = &self.node.participant;
+        let hears = participant.is_read_by(&self.writer, sample.id.writer.prefix);
+        if !hears && since.elapsed() < CLIENT_HEARS_WITHIN {
+            *early = Some((sample, since));
+            return None;
+        }
+        Some(Request(sample))
+    }
+
+    /// Answers a request: CDR, its encapsulation included.
+    pub fn answer(&self, request: &Request, message: Vec<u8>) {
+        let body = Body::Answer(request.0.id, padded(message));
+        self.node.participant.write(&self.writer, body);
+    }
+}
+
+impl Drop for Service {
+    fn drop(&mut self) {
+        self.node.remove(Some(&self.writer), Some(&self.reader));
     }
 }
 

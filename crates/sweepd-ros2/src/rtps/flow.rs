@@ -477,8 +477,8 @@ impl Delivery {
         };
         match self.sample.ended() {
             Some(key) => ahead.disposal(route, key, bytes),
-            None if fragments.count() == 1 => ahead.data(route, bytes),
-            None => ahead.fragment(route, number, fragments, bytes),
+            None if fragments.count() == 1 => ahead.data(route, self.sample.answers(), bytes),
+            None => ahead.fragment(route, self.sample.answers(), (number, fragments), bytes),
         }
         ahead
     }

@@ -229,6 +229,12 @@ impl Participant {
         self.shared.write(writer, body);
     }
 
+    /// Whether somebody of a participant reads a writer.
+    pub fn is_read_by(&self, writer: &WriterHandle, prefix: Prefix) -> bool {
+        let readers = self.readers(writer);
+        readers.iter().any(|(one, _)| one.guid.prefix == prefix)
+    }
+
     /// A buffer to write a sample of that writer into.
     pub fn buffer(&self, writer: &WriterHandle) -> Vec<u8> {
         let mut state = lock(&self.shared.state);
@@ -674,7 +680,7 @@ impl Shared {
         let payload = list.end();
         let mut message = Message::new(self.prefix);
         message.timestamp(wire::now());
-        message.data(self.participant_route(1), payload.len());
+        message.data(self.participant_route(1), None, payload.len());
         message.payload(&payload);
         message
     }

@@ -9,7 +9,7 @@ use super::discovery::{Endpoint, Place};
 use super::flow::lock;
 use super::received::{Received, WINDOW};
 use super::terms::Terms;
-use super::wire::{Data, Fragments, Guid, NumberSet, Part};
+use super::wire::{Data, Fragments, Guid, NumberSet, Part, SampleId};
 use crate::log;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -28,10 +28,8 @@ const SMALLEST_BYTES: usize = 4;
 /// A sample that came.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Sample {
-    /// Whose it is.
-    pub writer: Guid,
-    /// Its number.
-    pub number: u64,
+    /// Which it is.
+    pub id: SampleId,
     /// Its bytes, encapsulation included.
     pub payload: Vec<u8>,
 }
@@ -141,8 +139,7 @@ impl Source {
             self.bytes -= waiting.bytes.len();
             if waiting.is_whole() {
                 inbox.put(Sample {
-                    writer,
-                    number,
+                    id: SampleId { writer, number },
                     payload: waiting.bytes,
                 });
             }
@@ -422,8 +419,8 @@ pub mod tests {
     fn taken(reader: &Reader) -> Vec<u64> {
         let mut numbers = vec![];
         while let Some(one) = reader.inbox.take() {
-            assert_eq!(one.payload, sample(one.number, one.payload.len()));
-            numbers.push(one.number);
+            assert_eq!(one.payload, sample(one.id.number, one.payload.len()));
+            numbers.push(one.id.number);
         }
         numbers
     }

@@ -1,6 +1,6 @@
 //! A sample that a writer keeps and sends.
 
-use super::wire::{self, Guid, Timestamp};
+use super::wire::{self, Guid, SampleId, Timestamp};
 
 /// What a sample is.
 pub enum Body {
@@ -13,6 +13,8 @@ pub enum Body {
         /// ROS 2 before.
         before_iron: Vec<u8>,
     },
+    /// CDR, as above: it answers a request.
+    Answer(SampleId, Vec<u8>),
     /// The thing of that key is no more; a parameter list that says the same.
     End(Guid, Vec<u8>),
 }
@@ -40,7 +42,7 @@ impl Sample {
     /// Its bytes, in the form for such a reader.
     pub fn payload(&self, names_hash: bool) -> &[u8] {
         match &self.body {
-            Body::Same(bytes) | Body::End(_, bytes) => bytes,
+            Body::Same(bytes) | Body::Answer(_, bytes) | Body::End(_, bytes) => bytes,
             Body::ByReader { since_iron, .. } if names_hash => since_iron,
             Body::ByReader { before_iron, .. } => before_iron,
         }
@@ -50,7 +52,15 @@ impl Sample {
     pub fn ended(&self) -> Option<Guid> {
         match self.body {
             Body::End(key, _) => Some(key),
-            Body::Same(_) | Body::ByReader { .. } => None,
+            _ => None,
+        }
+    }
+
+    /// What it answers, where it does.
+    pub fn answers(&self) -> Option<SampleId> {
+        match self.body {
+            Body::Answer(request, _) => Some(request),
+            _ => None,
         }
     }
 }

@@ -38,6 +38,10 @@ const HAS_KEY: u8 = 8;
 
 /// Parameters that stand inline, before the payload.
 const KEY_HASH: u16 = 0x70;
+/// Which request a sample answers; Fast DDS before 3 knows the number in the room of vendors.
+const ANSWERS: [u16; 2] = [0x83, 0x800f];
+/// Bytes of them, with the end of the list.
+const ANSWERS_BYTES: usize = 2 * (4 + 24) + 4;
 const STATUS_INFO: u16 = 0x71;
 const SENTINEL: u16 = 1;
 
@@ -240,6 +244,15 @@ impl Route {
     }
 }
 
+/// A sample, among all of the domain.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SampleId {
+    /// Whose it is.
+    pub writer: Guid,
+    /// Its number.
+    pub number: u64,
+}
+
 /// A message that grows by submessages.
 pub struct Message(Vec<u8>);
 
@@ -290,10 +303,29 @@ impl Message {
     }
 
     /// What comes before a sample of `bytes`, a multiple of 4, which the caller puts behind it.
-    pub fn data(&mut self, route: Route, bytes: usize) {
-        self.begin(DATA, HAS_DATA, 20 + bytes);
+    pub fn data(&mut self, route: Route, answers: Option<SampleId>, bytes: usize) {
+        let (flag, inline) = inline_bytes(answers);
+        self.begin(DATA, HAS_DATA | flag, 20 + inline + bytes);
         self.0.extend([0, 0, 16, 0]);
         route.write(&mut self.0);
+        self.answers(answers);
+    }
+
+    /// Parameters that stand inline.
+    fn inline(&mut self, parameters: &[(u16, &[u8])]) {
+        for (parameter, value) in parameters.iter().chain(&[(SENTINEL, &[][..])]) {
+            self.0.extend(parameter.to_le_bytes());
+            self.0.extend((value.len() as u16).to_le_bytes());
+            self.0.extend(*value);
+        }
+    }
+
+    fn answers(&mut self, answers: Option<SampleId>) {
+        if let Some(request) = answers {
+            let mut value = request.writer.bytes().to_vec();
+            put_number(&mut value, request.number);
+            self.inline(&ANSWERS.map(|parameter| (parameter, value.as_slice())));
+        }
     }
 
     /// What comes before the key of a thing that is no more.
@@ -301,27 +333,30 @@ impl Message {
         self.begin(DATA, INLINE_QOS | HAS_KEY, 20 + 32 + bytes);
         self.0.extend([0, 0, 16, 0]);
         route.write(&mut self.0);
-        for (parameter, value) in [
+        self.inline(&[
             (KEY_HASH, key.bytes().as_slice()),
             // Disposed, and unregistered.
             (STATUS_INFO, &[0, 0, 0, 3]),
-            (SENTINEL, &[]),
-        ] {
-            self.0.extend(parameter.to_le_bytes());
-            self.0.extend((value.len() as u16).to_le_bytes());
-            self.0.extend(value);
-        }
+        ]);
     }
 
     /// What comes before `bytes` of a sample in fragments: the one of that number, from 1.
-    pub fn fragment(&mut self, route: Route, fragment: u32, of: Fragments, bytes: usize) {
-        self.begin(DATA_FRAGMENT, 0, 32 + bytes);
+    pub fn fragment(
+        &mut self,
+        route: Route,
+        answers: Option<SampleId>,
+        (fragment, of): (u32, Fragments),
+        bytes: usize,
+    ) {
+        let (flag, inline) = inline_bytes(answers);
+        self.begin(DATA_FRAGMENT, flag, 32 + inline + bytes);
         self.0.extend([0, 0, 28, 0]);
         route.write(&mut self.0);
         self.0.extend(fragment.to_le_bytes());
         self.0.extend(1u16.to_le_bytes());
         self.0.extend((of.fragment_bytes as u16).to_le_bytes());
         self.0.extend((of.sample_bytes as u32).to_le_bytes());
+        self.answers(answers);
     }
 
     /// Bytes of a sample behind what came before it.
@@ -360,6 +395,11 @@ impl Message {
         put_number(&mut self.0, first);
         NumberSet::new(end).write(&mut self.0);
     }
+}
+
+/// The flag, and the bytes, of what stands inline in an answer.
+fn inline_bytes(answers: Option<SampleId>) -> (u8, usize) {
+    answers.map_or((0, 0), |_| (INLINE_QOS, ANSWERS_BYTES))
 }
 
 /// How a sample is cut.
@@ -654,7 +694,7 @@ mod tests {
 
         let mut data = Message::to(OURS, THEIRS);
         data.timestamp([5, 0, 0, 0, 0, 0, 0, 0x80]);
-        data.data(route(), 8);
+        data.data(route(), None, 8);
         behind_header(
             &data,
             "0e 01 0c 00 02 02 02 02 02 02 02 02 02 02 02 02 \
@@ -668,11 +708,26 @@ mod tests {
             sample_bytes: 126_004,
         };
         assert_eq!(of.count(), 3);
-        fragment.fragment(route(), 3, of, 4);
+        fragment.fragment(route(), None, (3, of), 4);
         behind_header(
             &fragment,
             "16 01 24 00 00 00 1c 00 00 00 01 04 00 00 02 03 01 00 00 00 02 00 00 00 \
              03 00 00 00 01 00 18 f6 34 ec 01 00",
+        );
+
+        let request = SampleId {
+            writer: Guid::new(THEIRS, WRITER),
+            number: 5,
+        };
+        let mut answer = Message::new(OURS);
+        answer.data(route(), Some(request), 4);
+        let identity = "02 02 02 02 02 02 02 02 02 02 02 02 00 00 02 03 00 00 00 00 05 00 00 00";
+        behind_header(
+            &answer,
+            &format!(
+                "15 07 54 00 00 00 10 00 00 00 01 04 00 00 02 03 01 00 00 00 02 00 00 00 \
+                 83 00 18 00 {identity} 0f 80 18 00 {identity} 01 00 00 00"
+            ),
         );
 
         let mut heartbeat = Message::new(OURS);

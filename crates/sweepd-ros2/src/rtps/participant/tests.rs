@@ -121,7 +121,7 @@ fn sample_in_fragments(prefix: Prefix, number: u64) -> Message {
     };
     for fragment in 1..=of.count() {
         let part = of.part(&payload, fragment);
-        message.fragment(route, fragment, of, part.len());
+        message.fragment(route, None, (fragment, of), part.len());
         message.payload(part);
     }
     let told = Heartbeat {
@@ -140,7 +140,7 @@ fn data(prefix: Prefix, writer: EntityId, number: u64, payload: &[u8]) -> Messag
         writer,
         number,
     };
-    message.data(route, payload.len());
+    message.data(route, None, payload.len());
     message.payload(payload);
     message
 }
@@ -326,7 +326,7 @@ fn samples_are_taken_of_writers_that_acknowledge_something() {
     assert_eq!(answer.next(), Some(all));
     for handle in [&best_effort, &reliable] {
         let sample = handle.inbox.take().unwrap();
-        assert_eq!((sample.number, sample.payload), (1, vec![1; 280]));
+        assert_eq!((sample.id.number, sample.payload), (1, vec![1; 280]));
         assert_eq!(handle.inbox.writers.load(Ordering::Relaxed), 1);
     }
     // A heartbeat for one of them is none for the other.
@@ -400,8 +400,8 @@ fn hostile_datagrams_change_neither_memory_nor_delivery() {
             take(&participant, sample_in_fragments(honest, sample).bytes());
             for reader in &readers {
                 let taken = std::iter::from_fn(|| reader.inbox.take());
-                let arrived = taken.filter(|one| one.writer.prefix == honest);
-                let numbers: Vec<u64> = arrived.map(|one| one.number).collect();
+                let arrived = taken.filter(|one| one.id.writer.prefix == honest);
+                let numbers: Vec<u64> = arrived.map(|one| one.id.number).collect();
                 assert_eq!(numbers, [sample]);
             }
         }
