@@ -14,6 +14,7 @@ mod events;
 mod expected;
 mod far;
 mod measure;
+mod parameters;
 mod parts;
 mod peer;
 mod subscriptions;

@@ -1,7 +1,7 @@
 //! One sensor: of each sweep, what somebody subscribed to is computed and published.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use sweepd_client::client::{Client, ClientError, Domain, Sweep};
@@ -117,7 +117,7 @@ pub struct Bridge {
     /// Its name.
     pub name: String,
     /// How it is published.
-    pub parameters: SensorParameters,
+    pub parameters: Mutex<Arc<SensorParameters>>,
     /// One for each [`Topic`].
     pub publishers: Vec<Publisher>,
     /// What came of it, for `/diagnostics`.
@@ -193,6 +193,18 @@ impl Tally {
 }
 
 impl Bridge {
+    /// How it is published from now on, until that changes.
+    pub fn parameters(&self) -> Arc<SensorParameters> {
+        let parameters = self.parameters.lock();
+        Arc::clone(&parameters.unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Changes how it is published, from the next sweep on.
+    pub fn set_parameters(&self, parameters: SensorParameters) {
+        let current = self.parameters.lock();
+        *current.unwrap_or_else(PoisonError::into_inner) = Arc::new(parameters);
+    }
+
     /// Publishes the sensor's sweeps until the program is over: before there is a daemon, over its
     /// restarts, and when it is gone.
     pub fn run(&self, domain: &Domain, transforms: Option<&Transforms>, over: &AtomicBool) {
@@ -257,11 +269,12 @@ impl Bridge {
         if is_first {
             self.note_streaming(view.header);
         }
-        let is_taken = self.parameters.takes(view.header);
+        let parameters = self.parameters();
+        let is_taken = parameters.takes(view.header);
         self.seen
             .with_tally(|tally| tally.add(view.header, is_taken));
         if let Some(transforms) = transforms {
-            transforms.see(&self.name, &self.parameters.frame_id, view.header);
+            transforms.see(&self.name, &parameters.frame_id, view.header);
         }
         if !is_taken {
             self.note_left_out(view.header);
@@ -275,7 +288,7 @@ impl Bridge {
                     self.note_band(view.header);
                 }
                 let mut message = publisher.buffer();
-                topic.encode(&view, &self.parameters, &mut message);
+                topic.encode(&view, &parameters, &mut message);
                 messages.push((publisher, message));
             }
         }
@@ -314,8 +327,9 @@ impl Bridge {
 
     /// Warns where the default heights of a scan do not count from the robot.
     fn note_band(&self, header: &Header) {
-        let is_default = self.parameters.slice == Slice::Heights(SCAN_HEIGHTS_M);
-        if is_default && !self.parameters.scans_for_robot(header) {
+        let parameters = self.parameters();
+        let is_default = parameters.slice == Slice::Heights(SCAN_HEIGHTS_M);
+        if is_default && !parameters.scans_for_robot(header) {
             log::warn(format_args!(
                 "{}: the band of its scan, {SCAN_HEIGHTS_M:?} m, counts from the sensor, as no mount or no `base_frame` is \
                  given: give the daemon a [sensor.mount], or `scan_heights`",

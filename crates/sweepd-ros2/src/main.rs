@@ -9,14 +9,15 @@ mod parameters;
 #[cfg(test)]
 mod rcl;
 mod ros_args;
+mod services;
 mod transforms;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
 use std::io;
 use std::process::ExitCode;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 use std::thread::Scope;
 use std::time::{Duration, Instant};
 
@@ -25,6 +26,7 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::flag;
 use sweepd_client::client::{Client, Domain};
 use sweepd_messages::message_type::{DIAGNOSTIC_ARRAY, TF_MESSAGE};
+use sweepd_messages::rcl::encode_log;
 use sweepd_ros2::args::Args;
 use sweepd_ros2::{Durability, Environment, Node, NodeError, Publisher, log};
 
@@ -33,6 +35,7 @@ use crate::health::Diagnostics;
 use crate::names::{NodeName, Remap, token};
 use crate::parameters::Parameters;
 use crate::ros_args::RosArgs;
+use crate::services::Services;
 use crate::transforms::Transforms;
 
 /// Between looks for a signal.
@@ -81,6 +84,11 @@ fn run(args: &Args, ros: &RosArgs) -> Result<(), Failure> {
     let environment = Environment::from_env().map_err(Failure::config)?;
     let over = end_flag().map_err(|error| Failure::cannot("handle signals", &error))?;
     let node = Node::new(&environment, &name.namespace, &name.name)?;
+    let rosout = Rosout {
+        publisher: node.rosout(),
+        logger: name.full().trim_start_matches('/').replace('/', "."),
+    };
+    let services = Services::new(&node, &parameters)?;
     let domain = Domain::at_or_default(parameters.root.as_deref());
     log::info(format_args!(
         "node {} on ROS domain {}, sweeps from {}",
@@ -112,10 +120,13 @@ fn run(args: &Args, ros: &RosArgs) -> Result<(), Failure> {
             bridges: BTreeMap::new(),
             refused: BTreeSet::new(),
             remaps_are_told: false,
+            services,
+            rosout: &rosout,
         };
         let watched = sensors.watch(Diagnostics::new(diagnostics, parameters.health));
         // After an error too, or the threads would go on.
         over.store(true, Ordering::Relaxed);
+        rosout.publish();
         watched
     })
 }
@@ -159,6 +170,30 @@ fn end_flag() -> io::Result<Arc<AtomicBool>> {
     Ok(over)
 }
 
+/// The log, as others see it.
+struct Rosout {
+    publisher: Publisher,
+    /// Who writes it.
+    logger: String,
+}
+
+impl Rosout {
+    /// Publishes the lines that wait.
+    fn publish(&self) {
+        for line in log::take() {
+            let mut message = self.publisher.buffer();
+            encode_log(
+                line.stamp_ns,
+                line.level,
+                &self.logger,
+                &line.text,
+                &mut message,
+            );
+            self.publisher.publish(message);
+        }
+    }
+}
+
 /// The sensors, each with a thread.
 struct Sensors<'scope, 'env> {
     scope: &'scope Scope<'scope, 'env>,
@@ -174,6 +209,8 @@ struct Sensors<'scope, 'env> {
     /// Sensors whose token another one has.
     refused: BTreeSet<String>,
     remaps_are_told: bool,
+    services: Services,
+    rosout: &'env Rosout,
 }
 
 impl Sensors<'_, '_> {
@@ -198,6 +235,9 @@ impl Sensors<'_, '_> {
                 diagnosed += DIAGNOSE_EVERY;
                 diagnostics.publish(self.domain, self.bridges.values().map(|bridge| &**bridge));
             }
+            let bridges: Vec<&Bridge> = self.bridges.values().map(|bridge| &**bridge).collect();
+            self.services.serve(&bridges);
+            self.rosout.publish();
             std::thread::sleep(LOOK_EVERY);
         }
         Ok(())
@@ -262,7 +302,7 @@ impl Sensors<'_, '_> {
             .collect();
         let bridge = Arc::new(Bridge {
             name: sensor.to_owned(),
-            parameters: self.parameters.of(sensor),
+            parameters: Mutex::new(Arc::new(self.services.of(sensor))),
             publishers: publishers?,
             seen: Seen::default(),
         });

@@ -19,6 +19,7 @@ use serde_saphyr::options::{DuplicateKeyPolicy, NonFiniteFloatPolicy};
 use serde_saphyr::{Location, Spanned, UserMessageFormatter};
 use sweepd_client::service::{NAME_RULE, is_sensor_name};
 
+use sweepd_messages::rcl::Value;
 use sweepd_messages::{Fields, Layout, MessageHeader, Slice, Stamp, scan};
 use sweepd_ros2::args::Args;
 use sweepd_sweep::layout::flags;
@@ -188,28 +189,91 @@ impl Parameters {
 
     /// The parameters of a sensor.
     pub fn of(&self, sensor: &str) -> SensorParameters {
-        let all = &self.of_all;
-        let own = self.of_each.get(sensor).unwrap_or(all);
-        let frame_id = own.frame_id.as_ref().or(all.frame_id.as_ref());
-        let fields = own.fields.or(all.fields).unwrap_or(Fields::ALL);
+        let given = self.given(sensor);
+        let fields = given.fields.unwrap_or(Fields::ALL);
         SensorParameters {
-            frame_id: frame_id.map_or_else(|| sensor.to_owned(), String::clone),
-            stamp: own.stamp.or(all.stamp).unwrap_or(Stamp::First),
-            organized: own.organized.or(all.organized).unwrap_or(false),
-            layout: match own.layout.or(all.layout) {
+            frame_id: given.frame_id.unwrap_or_else(|| sensor.to_owned()),
+            stamp: given.stamp.unwrap_or(Stamp::First),
+            organized: given.organized.unwrap_or(false),
+            layout: match given.layout {
                 Some(LayoutName::Autoware) => Layout::Autoware,
                 Some(LayoutName::Xyzirt) | None => Layout::Fields(fields),
             },
-            only_complete: own.only_complete.or(all.only_complete).unwrap_or(true),
-            min_columns: own.min_columns.or(all.min_columns).unwrap_or(0),
-            slice: match own.scan_ring.or(all.scan_ring) {
+            only_complete: given.only_complete.unwrap_or(true),
+            min_columns: given.min_columns.unwrap_or(0),
+            slice: match given.scan_ring {
                 Some(ring) => Slice::Ring(ring),
-                None => {
-                    let heights_m = own.scan_heights.or(all.scan_heights);
-                    Slice::Heights(heights_m.unwrap_or(SCAN_HEIGHTS_M))
-                }
+                None => Slice::Heights(given.scan_heights.unwrap_or(SCAN_HEIGHTS_M)),
             },
             base_frame: self.base_frame.clone(),
+        }
+    }
+
+    /// What was given for a sensor, or for all.
+    fn given(&self, sensor: &str) -> Given {
+        let all = &self.of_all;
+        let own = self.of_each.get(sensor).unwrap_or(all);
+        Given {
+            frame_id: own.frame_id.clone().or_else(|| all.frame_id.clone()),
+            stamp: own.stamp.or(all.stamp),
+            organized: own.organized.or(all.organized),
+            layout: own.layout.or(all.layout),
+            fields: own.fields.or(all.fields),
+            only_complete: own.only_complete.or(all.only_complete),
+            min_columns: own.min_columns.or(all.min_columns),
+            scan_heights: own.scan_heights.or(all.scan_heights),
+            scan_ring: own.scan_ring.or(all.scan_ring),
+        }
+    }
+
+    /// The names of all parameters, with those of these sensors.
+    pub fn names<'a>(sensors: impl Iterator<Item = &'a str>) -> Vec<String> {
+        let mut names: Vec<String> = OF_NODE
+            .iter()
+            .chain(&OF_SENSOR)
+            .map(|name| (*name).into())
+            .collect();
+        for sensor in sensors {
+            names.extend(OF_SENSOR.iter().map(|own| format!("{sensor}.{own}")));
+        }
+        names
+    }
+
+    /// The value of a parameter, its default where it was not given.
+    pub fn value(&self, name: &str) -> Value {
+        let text = |value: Option<String>| Value::Text(value.unwrap_or_default());
+        match name {
+            "sensors" => Value::Texts(self.sensors.clone()),
+            "root" => text(self.root.as_ref().map(|root| root.display().to_string())),
+            "health" => text(self.health.map(|address| address.to_string())),
+            "base_frame" => Value::Text(self.base_frame.clone()),
+            _ => match name.rsplit_once('.') {
+                Some((sensor, "frame_id")) => Value::Text(self.of(sensor).frame_id),
+                Some((sensor, own)) => self.given(sensor).value(own),
+                None => self.of_all.value(name),
+            },
+        }
+    }
+
+    /// Whether a parameter is read at the start alone.
+    pub fn is_fixed(name: &str) -> bool {
+        // Frames are in /tf_static, which others keep.
+        OF_NODE.contains(&name) || own_name(name) == "frame_id"
+    }
+
+    /// Sets a parameter of [`Parameters::names`] while the node runs.
+    ///
+    /// # Errors
+    /// A sentence: what a file would be told, or that it is read at the start.
+    pub fn set_running(&mut self, name: &str, value: &Value) -> Result<(), String> {
+        if Self::is_fixed(name) {
+            return Err(format!(
+                "`{name}` is read at the start: give it in the parameter file, and start again"
+            ));
+        }
+        match self.take_one(name, &tree(value)) {
+            Ok(_) => Ok(()),
+            Err(what) => Err(format!("`{name}`: {what}")),
         }
     }
 
@@ -397,6 +461,107 @@ impl Given {
             _ => unreachable!("{name} is none of {OF_SENSOR:?}"),
         }
         Ok(())
+    }
+}
+
+impl Given {
+    /// The value of one of [`OF_SENSOR`], its default where it was not given.
+    fn value(&self, name: &str) -> Value {
+        match name {
+            "frame_id" => Value::Text(self.frame_id.clone().unwrap_or_default()),
+            "stamp" => Value::Text(match self.stamp {
+                Some(Stamp::Last) => "last".to_owned(),
+                Some(Stamp::First) | None => "first".to_owned(),
+            }),
+            "organized" => Value::Bool(self.organized.unwrap_or(false)),
+            "layout" => Value::Text(match self.layout {
+                Some(LayoutName::Autoware) => "autoware".to_owned(),
+                Some(LayoutName::Xyzirt) | None => "xyzirt".to_owned(),
+            }),
+            "fields" => {
+                let fields = self.fields.unwrap_or(Fields::ALL);
+                let all = [
+                    ("x", true),
+                    ("y", true),
+                    ("z", true),
+                    ("intensity", fields.intensity),
+                    ("ring", fields.ring),
+                    ("time", fields.time),
+                    ("label", fields.label),
+                ];
+                let there = all.iter().filter(|(_, is_there)| *is_there);
+                Value::Texts(there.map(|(name, _)| (*name).to_owned()).collect())
+            }
+            "only_complete" => Value::Bool(self.only_complete.unwrap_or(true)),
+            "min_columns" => Value::Integer(self.min_columns.unwrap_or(0).into()),
+            "scan_heights" => {
+                let heights_m = self.scan_heights.unwrap_or(SCAN_HEIGHTS_M);
+                // As they were written.
+                let written = heights_m
+                    .iter()
+                    .flat_map(|height| height.to_string().parse());
+                Value::Doubles(written.collect())
+            }
+            "scan_ring" => {
+                (self.scan_ring).map_or(Value::NotSet, |ring| Value::Integer(ring.into()))
+            }
+            _ => Value::NotSet,
+        }
+    }
+}
+
+/// The name of a sensor's parameter without the sensor.
+fn own_name(name: &str) -> &str {
+    name.rsplit_once('.').map_or(name, |(_, own)| own)
+}
+
+/// What a parameter is, for people.
+pub fn description(name: &str) -> &'static str {
+    match own_name(name) {
+        "sensors" => "names of the sensors to publish; empty: all",
+        "root" => "folder by which the daemon is found; empty: the usual one",
+        "health" => "where the daemon's /health is; empty: nowhere",
+        "base_frame" => "parent in /tf_static; empty: no transforms",
+        "frame_id" => "frame of the sensor's messages",
+        "stamp" => "time of a message, that of the sweep's first or last shot: first, last",
+        "organized" => "rows and columns, NaN where there is no return",
+        "layout" => "what a point holds: xyzirt, autoware",
+        "fields" => "fields of xyzirt; x, y and z are always there",
+        "only_complete" => "leave out sweeps that are no whole turn",
+        "min_columns" => "leave out sweeps with fewer measured columns",
+        "scan_heights" => "the band of scan, metres, the lower one first",
+        "scan_ring" => "scan is of one beam, numbered from the lowest up, from 0",
+        _ => "",
+    }
+}
+
+/// A value as it would stand in a file.
+fn tree(value: &Value) -> Spanned<Tree> {
+    fn scalar(value: impl ToString) -> Spanned<Tree> {
+        spanned(Tree::Scalar(value.to_string()))
+    }
+    fn spanned(tree: Tree) -> Spanned<Tree> {
+        Spanned::new(tree, Location::UNKNOWN, Location::UNKNOWN)
+    }
+    fn list(values: &[impl ToString]) -> Spanned<Tree> {
+        spanned(Tree::List(
+            values
+                .iter()
+                .map(|value| scalar(value.to_string()))
+                .collect(),
+        ))
+    }
+    match value {
+        Value::NotSet => scalar(""),
+        Value::Bool(value) => scalar(value),
+        Value::Integer(value) => scalar(value),
+        Value::Double(value) => scalar(value),
+        Value::Text(value) => scalar(value),
+        Value::Bytes(values) => list(values),
+        Value::Bools(values) => list(values),
+        Value::Integers(values) => list(values),
+        Value::Doubles(values) => list(values),
+        Value::Texts(values) => list(values),
     }
 }
 

@@ -1,0 +1,172 @@
+//! The services for parameters, which every node of ROS has: they are listed, got, described, and set where
+//! that can be while the node runs.
+
+use sweepd_messages::rcl::{Description, PARAMETER_SERVICES, Reply, Request, Value};
+use sweepd_ros2::{Node, NodeError, Service, log};
+
+use crate::bridge::Bridge;
+use crate::parameters::{Parameters, SensorParameters, description};
+
+/// Requests of one service that are answered before the node looks after other things.
+const AT_ONCE: usize = 10;
+
+/// The services, and the parameters as they are now.
+pub struct Services {
+    services: Vec<Service>,
+    parameters: Parameters,
+}
+
+impl Services {
+    /// Offers them.
+    ///
+    /// # Errors
+    /// The node's name leaves no room for theirs.
+    pub fn new(node: &Node, parameters: &Parameters) -> Result<Self, NodeError> {
+        let services = PARAMETER_SERVICES.iter();
+        let services: Result<Vec<Service>, NodeError> =
+            services.map(|service| node.service(service)).collect();
+        Ok(Self {
+            services: services?,
+            parameters: parameters.clone(),
+        })
+    }
+
+    /// How a sensor is to be published now.
+    pub fn of(&self, sensor: &str) -> SensorParameters {
+        self.parameters.of(sensor)
+    }
+
+    /// Answers the requests that wait.
+    pub fn serve(&mut self, bridges: &[&Bridge]) {
+        for index in 0..self.services.len() {
+            for _ in 0..AT_ONCE {
+                let Some(request) = self.services[index].take() else {
+                    break;
+                };
+                // What is no request is from no client of ours.
+                let Ok(asked) = Request::read(index, request.message()) else {
+                    continue;
+                };
+                let mut reply = Vec::new();
+                self.answer(&asked, bridges).encode(&mut reply);
+                self.services[index].answer(&request, reply);
+            }
+        }
+    }
+
+    fn answer(&mut self, asked: &Request, bridges: &[&Bridge]) -> Reply {
+        let known = Parameters::names(bridges.iter().map(|bridge| &bridge.name[..]));
+        // As rclpy: where one name is unknown, nothing is told.
+        let all_of = |names: &[String]| match names.iter().all(|name| known.contains(name)) {
+            true => names.to_vec(),
+            false => vec![],
+        };
+        match asked {
+            Request::List(prefixes, depth) => {
+                let mut names = known;
+                names.retain(|name| is_listed(name, prefixes, *depth));
+                Reply::List(names)
+            }
+            Request::Get(names) => {
+                let names = all_of(names);
+                Reply::Get(
+                    names
+                        .iter()
+                        .map(|name| self.parameters.value(name))
+                        .collect(),
+                )
+            }
+            Request::Types(names) => {
+                let names = all_of(names);
+                let types = names.iter().map(|name| self.type_number(name));
+                Reply::Types(types.collect())
+            }
+            Request::Describe(names) => {
+                let names = all_of(names);
+                Reply::Describe(names.iter().map(|name| self.describe(name)).collect())
+            }
+            Request::Set(parameters) => {
+                let one_by_one = parameters.chunks(1);
+                let results = one_by_one.map(|one| self.set(one, &known, bridges));
+                Reply::Set(results.collect())
+            }
+            Request::SetAll(parameters) => Reply::SetAll(self.set(parameters, &known, bridges)),
+        }
+    }
+
+    fn type_number(&self, name: &str) -> u8 {
+        self.parameters.value(name).type_number()
+    }
+
+    fn describe(&self, name: &str) -> Description {
+        let read_only = Parameters::is_fixed(name);
+        Description {
+            name: name.to_owned(),
+            type_number: self.type_number(name),
+            text: description(name).to_owned(),
+            constraints: match read_only {
+                true => "read at the start".to_owned(),
+                false => String::new(),
+            },
+            read_only,
+        }
+    }
+
+    /// Sets all of these, or none.
+    fn set(
+        &mut self,
+        values: &[(String, Value)],
+        known: &[String],
+        bridges: &[&Bridge],
+    ) -> Result<(), String> {
+        let mut parameters = self.parameters.clone();
+        for (name, value) in values {
+            if !known.contains(name) {
+                return Err(format!("unknown parameter `{name}`"));
+            }
+            parameters.set_running(name, value)?;
+        }
+        if parameters != self.parameters {
+            self.parameters = parameters;
+            for bridge in bridges {
+                bridge.set_parameters(self.parameters.of(&bridge.name));
+            }
+            let names: Vec<&str> = values.iter().map(|(name, _)| &name[..]).collect();
+            log::info(format_args!("set by a client: {}", names.join(", ")));
+        }
+        Ok(())
+    }
+}
+
+/// Whether a name begins with one of these, and has up to so many more parts; 0 is for any number.
+fn is_listed(name: &str, prefixes: &[String], depth: u64) -> bool {
+    let is_near = |rest: &str| depth == 0 || (rest.matches('.').count() as u64) < depth;
+    if prefixes.is_empty() {
+        return is_near(name);
+    }
+    prefixes.iter().any(|prefix| {
+        let rest = name.strip_prefix(&prefix[..]);
+        let rest = rest.and_then(|rest| rest.strip_prefix('.'));
+        name == prefix || rest.is_some_and(is_near)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_listed_as_rcl_lists_them() {
+        for (prefixes, depth, listed) in [
+            (&[][..], 0, [true, true, true]),
+            (&[], 1, [true, false, false]),
+            (&["roof"], 0, [false, true, true]),
+            (&["roof"], 1, [false, true, false]),
+            (&["roo", "stamp"], 0, [true, false, false]),
+        ] {
+            let prefixes: Vec<String> = prefixes.iter().map(|one| (*one).to_owned()).collect();
+            let names = ["stamp", "roof.stamp", "roof.2.stamp"];
+            assert_eq!(names.map(|name| is_listed(name, &prefixes, depth)), listed);
+        }
+    }
+}
