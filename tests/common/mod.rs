@@ -14,6 +14,7 @@ pub mod run;
 pub mod same;
 pub mod setup;
 pub mod simulated;
+pub mod wall;
 pub mod web_page;
 
 use std::ffi::OsString;

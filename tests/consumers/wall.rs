@@ -7,52 +7,24 @@ use sweepd_lab::testkit::stream::next_sweep;
 
 use sweepd::buffers::HeapBuffer;
 use sweepd::buffers::{HeapBuffers, Memory};
+use sweepd::messages::{Cloud, Fields, Layout, MessageHeader, Motion, Stamp};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::Model;
 use sweepd::sweep::layout::is_return;
 use sweepd::sweep::{Pose, SweepRef};
-use sweepd::wire::data::ReturnMode;
-use sweepd_lab::simulate::optics::Optics;
-use sweepd_lab::simulate::scene::Surface;
-use sweepd_lab::simulate::shape::{Shape, Vec3};
-use sweepd_lab::simulate::unit::unit;
-use sweepd_lab::simulate::{Class, Emitter, EmitterConfig, Motion, Pose as Start, Scene};
+use sweepd_lab::simulate::Emitter;
 
+use super::common::wall::{MOUNT, TURN, VELOCITY, drive, off_the_wall, robot};
 use super::common::{PYTHON_PACKAGE, python_with_iceoryx2};
 use super::native::{programs, run};
 use super::{folder, of_project};
 
-/// The near side of the wall, metres to the right of where the robot starts.
-const WALL_M: f64 = 8.0;
-/// To the right and ahead, metres a second.
-const VELOCITY: [f64; 2] = [2.0, 10.0];
-/// Clockwise, radians a second.
-const TURN: f64 = 0.5;
-/// How the sensor sits over the robot's origin: metres above it, radians to the left.
-const MOUNT: (f32, f32) = (1.9, 0.35);
-
 /// Sweeps beside the wall, measured without noise, and when the robot was at the origin.
 fn sweeps(model: Model) -> (Vec<HeapBuffer>, i64) {
     let (up_m, yaw_rad) = MOUNT;
-    let mut scene = Scene::new([0.0; 2], 20);
-    let wall = Shape::cuboid([WALL_M + 0.5, 0.0, 0.0], [1.0, 400.0, 12.0], 0.0);
-    scene.add(Class::Building, Vec3::zeros(), [(wall, Surface::Plain(60))]);
-    let mut emitter = EmitterConfig::new(model, ReturnMode::Strongest);
-    let calibration = model.is_hdl64e().then(|| unit(1));
-    emitter.calibration.clone_from(&calibration);
-    // From 25.04 m on an HDL-64E has other corrections: ranges there may be on either side.
-    emitter.optics = Optics::perfect(24.0);
-    emitter.encoder.jitter_deg = 0.0;
-    emitter.pose = Start {
-        heading_rad: -f64::from(yaw_rad),
-        ..Start::upright(Vec3::new(0.0, 0.0, up_m.into()))
-    };
-    emitter.motion = Motion {
-        velocity: Vec3::new(VELOCITY[0], VELOCITY[1], 0.0),
-        turn_rad_s: TURN,
-    };
+    let (scene, emitter) = drive(model);
     let config = Config {
-        calibration,
+        calibration: emitter.calibration.clone(),
         position_m: [0.0, 0.0, up_m],
         yaw_rad,
         ..Config::default()
@@ -71,23 +43,6 @@ fn sweeps(model: Model) -> (Vec<HeapBuffer>, i64) {
     }
     assert!(sweeps.len() > 2);
     (sweeps, start_ns)
-}
-
-/// The robot in the scene.
-fn robot(start_ns: i64, time_ns: i64) -> Pose {
-    let seconds = (time_ns - start_ns) as f64 * 1e-9;
-    let [x, y] = VELOCITY.map(|each| each * seconds);
-    let (sin, cos) = (-TURN * seconds / 2.0).sin_cos();
-    Pose::new([x, y, 0.0], [0.0, 0.0, sin, cos])
-}
-
-/// How far points of the wall are off it at most, and how many there are.
-fn off_the_wall(points: impl Iterator<Item = [f64; 3]>) -> (f64, usize) {
-    // All else is level ground.
-    let of_wall = points.filter(|[_, _, up_m]| *up_m > 0.2);
-    of_wall.fold((0.0, 0), |(most, count), [x, _, _]| {
-        ((x - WALL_M).abs().max(most), count + 1)
-    })
 }
 
 #[test]
@@ -123,6 +78,47 @@ fn a_wall_is_flat_where_each_point_is_moved_by_the_pose_at_its_shot() {
                 );
             }
             compare(&view, &moved, &python_points(&file, start_ns), "Python");
+        }
+    }
+}
+
+/// The clouds of messages are as the sensor would have seen them at the time of the message.
+#[test]
+fn a_wall_is_flat_in_a_deskewed_cloud() {
+    let cloud = Cloud {
+        layout: Layout::Fields(Fields::NONE),
+        ..Cloud::default()
+    };
+    for model in [Model::Vlp16, Model::Hdl64eS3] {
+        let (sweeps, start_ns) = sweeps(model);
+        let view = SweepRef::open(sweeps[1].as_ref()).unwrap();
+        let mount = Pose::of_mount(view.header);
+        let pose_at = |time_ns| robot(start_ns, time_ns) * mount;
+        let motion = Motion::of(&view, pose_at);
+        for stamp in [Stamp::First, Stamp::Middle, Stamp::Last] {
+            let sensor = pose_at(stamp.time_ns(&view));
+            let flatness = |motion: Option<&Motion>| {
+                let header = MessageHeader {
+                    frame_id: "roof",
+                    stamp,
+                };
+                let mut message = Vec::new();
+                cloud.encode_deskewed(&view, &header, motion, &mut message);
+                // Behind the points is `is_dense` alone.
+                let bytes = 12 * view.returns().count();
+                let points = &message[message.len() - 1 - bytes..message.len() - 1];
+                let points = points.as_chunks::<12>().0.iter().map(|point| {
+                    let axes = point.as_chunks::<4>().0.iter();
+                    let axes: Vec<f64> =
+                        axes.map(|axis| f32::from_le_bytes(*axis).into()).collect();
+                    sensor.apply([-axes[1], axes[0], axes[2]])
+                });
+                off_the_wall(points)
+            };
+            let (before, after) = (flatness(None), flatness(Some(&motion)));
+            println!("{model}, {stamp:?}: {before:?} m before, {after:?} after");
+            assert!(before.0 > 0.2 && after.0 < 0.005, "{before:?} {after:?}");
+            assert!(after.1 > view.range.len() / 10, "{after:?}");
         }
     }
 }

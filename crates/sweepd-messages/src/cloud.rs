@@ -25,6 +25,7 @@ use thiserror::Error;
 
 use crate::cdr::Writer;
 use crate::image::column_of;
+use crate::motion::Motion;
 use crate::rays::{Shot, Shots};
 use crate::stamp::{MessageHeader, Stamp};
 
@@ -234,6 +235,19 @@ impl Cloud {
     /// The time of the message is that of the header's stamp. [`Fields::time`] counts from there;
     /// from the last shot it is 0 or less.
     pub fn encode(&self, sweep: &SweepRef<'_>, header: &MessageHeader<'_>, message: &mut Vec<u8>) {
+        self.encode_deskewed(sweep, header, None, message);
+    }
+
+    /// The same of a sensor that moved: x, y and z are where it would have seen the points at the time
+    /// of the message. Azimuth, elevation and distance of [`Layout::Autoware`] stay those of the
+    /// shot, and times when the beams fired.
+    pub fn encode_deskewed(
+        &self,
+        sweep: &SweepRef<'_>,
+        header: &MessageHeader<'_>,
+        motion: Option<&Motion>,
+        message: &mut Vec<u8>,
+    ) {
         let stamp = match self.layout {
             Layout::Fields(_) => header.stamp,
             Layout::Autoware => Stamp::First,
@@ -263,7 +277,7 @@ impl Cloud {
             cloud: self,
             step,
             sweep,
-            shots: Shots::of(sweep),
+            shots: Shots::at_moment(sweep, motion, stamp),
             stamp_after_first_ns: stamp_ns.saturating_sub(sweep.header.time_ns),
         };
         // A point is written as if it were of the largest layout; the next one is written over its

@@ -20,6 +20,7 @@ pub mod graph;
 pub mod image;
 pub mod markers;
 pub mod message_type;
+pub mod motion;
 pub mod names;
 pub mod odometry;
 pub mod palette;
@@ -31,5 +32,6 @@ pub mod transforms;
 
 pub use cloud::{Cloud, Fields, Layout, Points};
 pub use message_type::MessageType;
+pub use motion::Motion;
 pub use scan::Slice;
 pub use stamp::{MessageHeader, Stamp};

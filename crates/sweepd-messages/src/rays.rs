@@ -3,8 +3,11 @@
 
 use std::f64::consts::TAU;
 
-use sweepd_sweep::SweepRef;
 use sweepd_sweep::corrected::Corrected;
+use sweepd_sweep::{Pose, SweepRef};
+
+use crate::motion::Motion;
+use crate::stamp::Stamp;
 
 /// The shots of a sweep.
 pub struct Shots<'a> {
@@ -13,6 +16,8 @@ pub struct Shots<'a> {
     rays: Vec<Ray>,
     /// Sine and cosine of the azimuth of each firing.
     firings: Vec<[f64; 2]>,
+    /// By firing, where the sensor was in the frame of the points; empty where it stood still.
+    poses: Vec<Pose>,
 }
 
 /// A beam.
@@ -34,6 +39,7 @@ pub struct Shot<'a> {
     azimuth_rad: f64,
     sin_azimuth: f64,
     cos_azimuth: f64,
+    pose: Option<&'a Pose>,
     /// Since the first shot of the sweep, nanoseconds.
     pub time_ns: i64,
 }
@@ -62,6 +68,16 @@ impl<'a> Shots<'a> {
             firings: azimuths
                 .map(|azimuth_rad| azimuth_rad.sin_cos().into())
                 .collect(),
+            poses: Vec::new(),
+        }
+    }
+
+    /// Those of a sweep whose sensor moved, if it did: points are where it would have seen them at a
+    /// moment.
+    pub fn at_moment(sweep: &'a SweepRef<'a>, motion: Option<&Motion>, moment: Stamp) -> Self {
+        Self {
+            poses: motion.map_or_else(Vec::new, |motion| motion.to(moment)),
+            ..Self::of(sweep)
         }
     }
 
@@ -79,6 +95,7 @@ impl<'a> Shots<'a> {
             azimuth_rad: f64::from(firing.azimuth_rad) + turned_rad - ray.rotation_rad,
             sin_azimuth,
             cos_azimuth,
+            pose: self.poses.get(column),
             time_ns: i64::from(firing.time_ns) + i64::from(ray.time_offset_ns),
         }
     }
@@ -126,7 +143,14 @@ impl Shot<'_> {
         let [right, forward, up] = self.along_m(range_m);
         let right = right - self.ray.sideways_m * self.cos_azimuth;
         let forward = forward + self.ray.sideways_m * self.sin_azimuth;
-        [forward as f32, -right as f32, (up + self.ray.up_m) as f32]
+        let point_m = [right, forward, up + self.ray.up_m];
+        let [right, forward, up] = self.pose.map_or(point_m, |pose| pose.apply(point_m));
+        [forward as f32, -right as f32, up as f32]
+    }
+
+    /// Where the sensor was, x right, y forward, z up, metres; none where it stood still.
+    pub fn origin_m(&self) -> Option<[f64; 3]> {
+        self.pose.map(|pose| pose.position_m)
     }
 
     /// Azimuth (0..2 pi, clockwise from straight ahead) and elevation of the point at a range, seen

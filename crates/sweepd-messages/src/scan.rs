@@ -17,6 +17,7 @@ use sweepd_sweep::layout::{LABEL_GROUND, flags, is_return};
 use sweepd_sweep::{Pose, SweepRef};
 
 use crate::cdr::Writer;
+use crate::motion::Motion;
 use crate::rays::Shots;
 use crate::stamp::MessageHeader;
 
@@ -41,11 +42,13 @@ pub enum Slice {
 }
 
 /// Appends the message, in the axes of ROS of the frame in which the sensor has a pose; `None` for its
-/// own. [`MessageHeader::frame_id`] is the name of that frame.
+/// own. [`MessageHeader::frame_id`] is the name of that frame. Of a sensor that moved, points are where it
+/// would have seen them at the time of the message.
 pub fn encode(
     sweep: &SweepRef<'_>,
     slice: Slice,
     pose: Option<&Pose>,
+    motion: Option<&Motion>,
     header: &MessageHeader<'_>,
     message: &mut Vec<u8>,
 ) {
@@ -59,7 +62,8 @@ pub fn encode(
     writer.f32((sweep.header.duration_ns as f64 * 1e-9) as f32);
     writer.f32(0.0);
     writer.f32(RANGE_MAX_M);
-    let directions = directions(sweep, slice, pose);
+    let shots = Shots::at_moment(sweep, motion, header.stamp);
+    let directions = directions(sweep, slice, pose, &shots);
     writer.count(DIRECTIONS);
     for direction in &directions {
         writer.f32(direction.distance_m);
@@ -77,7 +81,12 @@ struct Direction {
     reflectivity: u8,
 }
 
-fn directions(sweep: &SweepRef<'_>, slice: Slice, pose: Option<&Pose>) -> [Direction; DIRECTIONS] {
+fn directions(
+    sweep: &SweepRef<'_>,
+    slice: Slice,
+    pose: Option<&Pose>,
+    shots: &Shots<'_>,
+) -> [Direction; DIRECTIONS] {
     let mut directions = [Direction {
         distance_m: f32::NAN,
         reflectivity: 0,
@@ -86,8 +95,7 @@ fn directions(sweep: &SweepRef<'_>, slice: Slice, pose: Option<&Pose>) -> [Direc
         return directions;
     }
     let from_sensor = Pose::ROS * pose.copied().unwrap_or(Pose::IDENTITY);
-    let sensor_m = from_sensor.position_m.map(|value| value as f32);
-    let shots = Shots::of(sweep);
+    let sensor_m = from_sensor.position_m;
     let rows = sweep.rows();
     for column in 0..sweep.columns.len() {
         for row in 0..rows {
@@ -116,6 +124,9 @@ fn directions(sweep: &SweepRef<'_>, slice: Slice, pose: Option<&Pose>) -> [Direc
                     .apply([-left, forward, up])
                     .map(|value| value as f32);
                 let is_obstacle = label != LABEL_GROUND && is_within(band_m, point_m[2]);
+                let origin_m = shot.origin_m();
+                let sensor_m = origin_m.map_or(sensor_m, |at_m| from_sensor.apply(at_m));
+                let sensor_m = sensor_m.map(|value| value as f32);
                 let distance_m = match is_obstacle {
                     true => point_m[0].hypot(point_m[1]),
                     false if reach_m(sensor_m, point_m, band_m) >= FREE_M => f32::INFINITY,

@@ -9,6 +9,8 @@ pub enum Stamp {
     /// expects.
     #[default]
     First,
+    /// None: the moment halfway between the first shot and the last.
+    Middle,
     /// The last, so that times of points are 0 or less.
     Last,
 }
@@ -24,7 +26,11 @@ impl Stamp {
         let fired = sweep.columns.iter().filter(|column| column.is_fired());
         let column_ns = fired.map(|column| column.time_ns).max().unwrap_or(0);
         let beam_ns = sweep.beams.iter().map(|beam| beam.time_offset_ns).max();
-        first_ns.saturating_add(i64::from(column_ns) + i64::from(beam_ns.unwrap_or(0)))
+        let lasts_ns = i64::from(column_ns) + i64::from(beam_ns.unwrap_or(0));
+        first_ns.saturating_add(match self {
+            Self::Middle => lasts_ns / 2,
+            _ => lasts_ns,
+        })
     }
 }
 

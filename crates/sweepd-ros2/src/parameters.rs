@@ -429,7 +429,7 @@ impl SensorParameters {
         };
         let stamp = self.stamp;
         let header = MessageHeader { frame_id, stamp };
-        scan::encode(sweep, self.slice, pose, &header, message);
+        scan::encode(sweep, self.slice, pose, None, &header, message);
     }
 }
 

@@ -132,6 +132,19 @@ impl Pose {
         }
     }
 
+    /// The pose of the other frame in this one.
+    pub fn inverse(&self) -> Self {
+        let rotation = [0, 1, 2].map(|axis| self.rotation.map(|row| row[axis]));
+        let back = Self {
+            rotation,
+            position_m: [0.0; 3],
+        };
+        Self {
+            rotation,
+            position_m: back.turn(self.position_m).map(|value| -value),
+        }
+    }
+
     /// Whether a mount was given: its values are numbers, and not all 0.
     pub fn is_given(&self) -> bool {
         let mut values = self.rotation.as_flattened().iter().chain(&self.position_m);
@@ -209,6 +222,7 @@ mod tests {
         let expected = (a * b).transform_point(&POINT.into());
         close((outer * inner).apply(POINT), expected.coords);
         close(outer.apply(inner.apply(POINT)), expected.coords);
+        close(outer.inverse().apply(outer.apply(POINT)), POINT.into());
         assert_eq!(Pose::IDENTITY.apply(POINT), POINT);
     }
 

@@ -2,9 +2,11 @@
 
 use sweepd_core::sensor::Beam;
 use sweepd_messages::cloud::FieldsError;
-use sweepd_messages::{Cloud, Fields, Layout, MessageHeader, Points, Stamp};
+use sweepd_messages::{
+    Cloud, Fields, Layout, MessageHeader, Motion, Points, Slice, Stamp, markers, scan,
+};
 use sweepd_sweep::layout::{ReturnKind, flags};
-use sweepd_sweep::{Column, Return, SweepRef};
+use sweepd_sweep::{Column, Pose, Return, SweepRef};
 
 use super::reader::Reader;
 use super::scene::Scene;
@@ -314,4 +316,122 @@ fn an_empty_sweep_is_an_empty_cloud() {
         let read = Read::new(&message);
         assert_eq!((read.width, read.data.len()), (0, 0));
     }
+}
+
+/// By hand: a sensor goes 1 m ahead, or turns a quarter to the left, before it has seen the same thing, 10 m
+/// ahead at first, three times.
+#[test]
+fn a_deskewed_cloud_is_what_is_seen_at_its_stamp() {
+    let turned = std::f32::consts::FRAC_PI_2;
+    for (ranges_m, turns_rad, way_m, seen) in [
+        (
+            [10.0, 9.5, 9.0],
+            [0.0; 3],
+            1.0,
+            [[10.0, 0.0], [9.5, 0.0], [9.0, 0.0]],
+        ),
+        (
+            [10.0; 3],
+            [0.0, turned / 2.0, turned],
+            0.0,
+            [[10.0, 0.0], [50_f64.sqrt(), -(50_f64.sqrt())], [0.0, -10.0]],
+        ),
+    ] {
+        let mut scene = Scene::new(1, 3, false);
+        scene.fill(|sweep| {
+            sweep.beams[0] = Beam::ideal(0, 0.0).row(0);
+            for column in 0..3 {
+                let time_ns = 50_000_000 * column as u32;
+                let azimuth_rad = turns_rad[column];
+                sweep.columns[column] = Column::measured(0, 0, azimuth_rad, 0.0, time_ns);
+            }
+            sweep.range.copy_from_slice(&ranges_m);
+            sweep.label.fill(2);
+            sweep.header.segments = 1;
+            sweep.segments[0].label = 2;
+        });
+        let sweep = scene.sweep();
+        let pose_at = |time_ns: i64| {
+            let part = (time_ns - sweep.header.time_ns) as f64 * 1e-8;
+            let (sin, cos) = (part * f64::from(turns_rad[2]) / 2.0).sin_cos();
+            Pose::new([7.0, part * way_m, 0.0], [0.0, 0.0, sin, cos])
+        };
+        let motion = Motion::of(&sweep, pose_at);
+        for (stamp, [x, y]) in [Stamp::First, Stamp::Middle, Stamp::Last]
+            .into_iter()
+            .zip(seen)
+        {
+            let header = MessageHeader { stamp, ..FIRST };
+            let mut message = Vec::new();
+            Cloud::default().encode_deskewed(&sweep, &header, Some(&motion), &mut message);
+            let read = Read::new(&message);
+            assert_eq!(read.time_ns, stamp.time_ns(&sweep));
+            for (name, expected) in [("x", x), ("y", y), ("z", 0.0)] {
+                let found = read.column(name).unwrap();
+                let is_near = |value: &f64| (value - expected).abs() < 1e-5;
+                assert!(found.iter().all(is_near), "{stamp:?} {name}: {found:?}");
+            }
+
+            message.clear();
+            markers::encode_deskewed(&sweep, &header, Some(&motion), &mut message);
+            let mut reader = Reader::new(&message);
+            assert_eq!(reader.u32(), 2);
+            let [_, extent] = [(); 2].map(|()| marker(&mut reader));
+            let expected = [x, y, 0.0, 0.01, 0.01, 0.01];
+            let differs = extent
+                .iter()
+                .zip(expected)
+                .any(|(a, b)| (a - b).abs() > 1e-5);
+            assert!(!differs, "{stamp:?}: {extent:?}");
+
+            message.clear();
+            let heights = Slice::Heights([-1.0, 1.0]);
+            scan::encode(&sweep, heights, None, Some(&motion), &header, &mut message);
+            let mut reader = Reader::new(&message);
+            reader.header();
+            let _ = [(); 7].map(|()| reader.f32());
+            let ranges: Vec<f32> = (0..reader.u32()).map(|_| reader.f32()).collect();
+            let seen: Vec<&f32> = ranges.iter().filter(|range| !range.is_nan()).collect();
+            let is_near = |range: &&f32| (f64::from(**range) - x.hypot(y)).abs() < 1e-4;
+            assert!(
+                (1..=2).contains(&seen.len()) && seen.iter().all(is_near),
+                "{seen:?}"
+            );
+        }
+    }
+}
+
+/// Centre and size of a marker.
+fn marker(reader: &mut Reader<'_>) -> [f64; 6] {
+    reader.header();
+    reader.text();
+    let _ = [(); 3].map(|()| reader.u32());
+    let center_m = [(); 3].map(|()| reader.f64());
+    let _ = [(); 4].map(|()| reader.f64());
+    let size_m = [(); 3].map(|()| reader.f64());
+    let _ = [(); 4].map(|()| reader.f32());
+    // Lifetime, frame_locked, points, colours, texture.
+    let _ = (
+        reader.u32(),
+        reader.u32(),
+        reader.u8(),
+        reader.u32(),
+        reader.u32(),
+    );
+    let _ = (
+        reader.text(),
+        reader.header(),
+        reader.text(),
+        reader.u32(),
+        reader.u32(),
+    );
+    // Text, mesh.
+    let _ = (
+        reader.text(),
+        reader.text(),
+        reader.text(),
+        reader.u32(),
+        reader.u8(),
+    );
+    [center_m, size_m].concat().try_into().unwrap()
 }

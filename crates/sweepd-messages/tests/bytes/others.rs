@@ -39,7 +39,7 @@ fn read_image<const BYTES: usize>(message: &[u8]) -> (u32, u32, &str, Vec<[u8; B
 /// The distances of a scan, and the frame.
 fn scan_of(scene: &Scene, slice: Slice, pose: Option<&Pose>) -> Vec<f32> {
     let mut message = Vec::new();
-    scan::encode(&scene.sweep(), slice, pose, &HEADER, &mut message);
+    scan::encode(&scene.sweep(), slice, pose, None, &HEADER, &mut message);
     let mut reader = Reader::new(&message);
     assert_eq!(reader.header(), (1_700_000_000_123_456_789, "roof"));
     let angles = [reader.f32(), reader.f32(), reader.f32()].map(f32::to_degrees);
