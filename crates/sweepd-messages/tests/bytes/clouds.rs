@@ -340,10 +340,10 @@ fn a_deskewed_cloud_is_what_is_seen_at_its_stamp() {
         let mut scene = Scene::new(1, 3, false);
         scene.fill(|sweep| {
             sweep.beams[0] = Beam::ideal(0, 0.0).row(0);
-            for column in 0..3 {
-                let time_ns = 50_000_000 * column as u32;
-                let azimuth_rad = turns_rad[column];
-                sweep.columns[column] = Column::measured(0, 0, azimuth_rad, 0.0, time_ns);
+            for (number, (column, turn_rad)) in sweep.columns.iter_mut().zip(turns_rad).enumerate()
+            {
+                let time_ns = 50_000_000 * number as u32;
+                *column = Column::measured(0, 0, turn_rad, 0.0, time_ns);
             }
             sweep.range.copy_from_slice(&ranges_m);
             sweep.label.fill(2);
