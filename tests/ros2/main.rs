@@ -10,6 +10,7 @@ mod clouds;
 #[path = "../common/mod.rs"]
 mod common;
 mod crowd;
+mod deskew;
 mod events;
 mod expected;
 mod far;

@@ -34,7 +34,16 @@ fn check(variable: &str, dds_domain: u32) {
     assert!(names.contains(&json!("roof.stamp")) && !names.contains(&json!("stamp")));
     assert!(said["all"].as_u64() > Some(names.len() as u64));
     let fields = json!(["x", "y", "z", "intensity", "ring", "time", "label"]);
-    let values = json!(["first", false, fields, [-0.5, 2.0], null, "base_link", "roof", 0]);
+    let values = json!([
+        "first",
+        false,
+        fields,
+        [-0.5, 2.0],
+        null,
+        "base_link",
+        "roof",
+        0
+    ]);
     assert_eq!(said["values"], values);
     assert_eq!(said["types"], json!([4, 1, 9, 8, 0, 4, 4, 2]));
     assert_eq!(said["unknown"], 0);
@@ -43,7 +52,10 @@ fn check(variable: &str, dds_domain: u32) {
     let set = json!([
         [true, ""],
         [false, "`stamp`: expected first or last, not `middle`"],
-        [false, "`root` is read at the start: give it in the parameter file, and start again"],
+        [
+            false,
+            "`root` is read at the start: give it in the parameter file, and start again"
+        ],
         [false, "unknown parameter `none`"],
     ]);
     assert_eq!(said["set"], set);

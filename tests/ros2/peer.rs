@@ -49,6 +49,13 @@ impl Peer {
         command
     }
 
+    /// rclpy of Jazzy that tells where a robot is: `odometry.py` says what of it.
+    pub fn robot(dds_domain: u32, moves: &Value) -> Self {
+        let mut command = Command::new(interpreter("SWEEPD_JAZZY"));
+        command.arg(script("odometry.py")).arg(moves.to_string());
+        Self::start(command, dds_domain)
+    }
+
     /// Cyclone DDS.
     pub fn cyclone(dds_domain: u32, wanted: Value) -> Self {
         Self::start(Self::cyclone_command(dds_domain, wanted), dds_domain)

@@ -18,6 +18,7 @@ Topics of the sensor `roof`, each computed only while it has a subscriber:
   ~/roof/markers      visualization_msgs/MarkerArray, a box a segment
   ~/roof/range_image  sensor_msgs/Image, 32FC1, metres
   ~/roof/label_image  sensor_msgs/Image, 16UC1
+  ~/roof/points_deskewed  as points, where the parameter `deskew` is given
   /diagnostics        diagnostic_msgs/DiagnosticArray, each second
   /tf_static          tf2_msgs/TFMessage, where the daemon's configuration has a mount
 
@@ -34,9 +35,9 @@ pub struct Args {
     /// later]
     #[arg(value_name = "NAME", value_parser = sensor_name)]
     pub sensors: Vec<String>,
-    /// Parameters: YAML in the form of ROS, with `sensors`, `root`, `health`, `base_frame`,
-    /// `frame_id`, `stamp`, `organized`, `layout`, `fields`, `only_complete`, `min_columns`,
-    /// `scan_heights`, `scan_ring`
+    /// Parameters: YAML in the form of ROS, with `sensors`, `root`, `health`, `base_frame`, `deskew`,
+    /// `odometry`, `frame_id`, `stamp`, `organized`, `layout`, `fields`, `only_complete`,
+    /// `min_columns`, `scan_heights`, `scan_ring`
     #[arg(long, value_name = "FILE", visible_alias = "params-file")]
     pub parameters: Option<PathBuf>,
     /// Name of the node

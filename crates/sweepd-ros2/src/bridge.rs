@@ -8,13 +8,14 @@ use sweepd_client::client::{Client, ClientError, Domain, Sweep};
 use sweepd_client::host::realtime_ns;
 use sweepd_messages::cloud::{Cloud, Points};
 use sweepd_messages::message_type::{IMAGE, LASER_SCAN, MARKER_ARRAY, POINT_CLOUD};
-use sweepd_messages::{MessageHeader, MessageType, Slice, image, markers};
+use sweepd_messages::{MessageHeader, MessageType, Motion, Slice, image, markers};
 use sweepd_ros2::Publisher;
 use sweepd_sweep::Model;
 use sweepd_sweep::layout::flags;
-use sweepd_sweep::{Header, SweepRef};
+use sweepd_sweep::{Header, Pose, SweepRef};
 
 use crate::log;
+use crate::odometry::{NotDeskewed, Odometry};
 use crate::parameters::{SCAN_HEIGHTS_M, SensorParameters};
 use crate::transforms::Transforms;
 
@@ -22,6 +23,8 @@ use crate::transforms::Transforms;
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 /// A sensor is silent when no sweep comes for this long, as the daemon judges.
 pub const PATIENCE: Duration = Duration::from_secs(2);
+/// Sweeps in a row that may be not deskewed before it is told: odometry may be late once.
+pub const USUAL_NOT_DESKEWED: u64 = 2;
 /// Before shared memory that cannot be read is tried again.
 const RETRY_AFTER: Duration = Duration::from_secs(1);
 
@@ -44,11 +47,13 @@ pub enum Topic {
     RangeImage,
     /// Labels as an image.
     LabelImage,
+    /// All returns, deskewed; only where there is odometry.
+    PointsDeskewed,
 }
 
 impl Topic {
     /// All, as they are numbered.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Points,
         Self::Ground,
         Self::Nonground,
@@ -57,7 +62,21 @@ impl Topic {
         Self::Markers,
         Self::RangeImage,
         Self::LabelImage,
+        Self::PointsDeskewed,
     ];
+
+    /// Those that are published, with odometry or without.
+    pub fn published(with_odometry: bool) -> &'static [Self] {
+        match with_odometry {
+            true => &Self::ALL,
+            false => &Self::ALL[..Self::PointsDeskewed as usize],
+        }
+    }
+
+    /// Whether odometry deskews it.
+    fn is_deskewed(self) -> bool {
+        !matches!(self, Self::Points | Self::RangeImage | Self::LabelImage)
+    }
 
     /// Its name below the sensor's.
     pub fn name(self) -> &'static str {
@@ -70,6 +89,7 @@ impl Topic {
             Self::Markers => "markers",
             Self::RangeImage => "range_image",
             Self::LabelImage => "label_image",
+            Self::PointsDeskewed => "points_deskewed",
         }
     }
 
@@ -81,34 +101,45 @@ impl Topic {
     /// Its messages.
     pub fn message_type(self) -> &'static MessageType {
         match self {
-            Self::Points | Self::Ground | Self::Nonground | Self::Objects => &POINT_CLOUD,
+            Self::Points
+            | Self::Ground
+            | Self::Nonground
+            | Self::Objects
+            | Self::PointsDeskewed => &POINT_CLOUD,
             Self::Scan => &LASER_SCAN,
             Self::Markers => &MARKER_ARRAY,
             Self::RangeImage | Self::LabelImage => &IMAGE,
         }
     }
 
-    /// The message of a sweep.
-    fn encode(self, sweep: &SweepRef<'_>, parameters: &SensorParameters, message: &mut Vec<u8>) {
+    /// The message of a sweep, deskewed by the motion of its sensor, if that is known.
+    fn encode(
+        self,
+        sweep: &SweepRef<'_>,
+        parameters: &SensorParameters,
+        motion: Option<&Motion>,
+        message: &mut Vec<u8>,
+    ) {
         let header = MessageHeader {
             frame_id: &parameters.frame_id,
             stamp: parameters.stamp,
         };
-        let cloud = |points| Cloud {
+        let points = match self {
+            Self::Points | Self::PointsDeskewed => Points::All,
+            Self::Ground => Points::Ground,
+            Self::Nonground => Points::Nonground,
+            Self::Objects => Points::Objects,
+            Self::Scan => return parameters.scan(sweep, motion, message),
+            Self::Markers => return markers::encode_deskewed(sweep, &header, motion, message),
+            Self::RangeImage => return image::encode_ranges(sweep, &header, message),
+            Self::LabelImage => return image::encode_labels(sweep, &header, message),
+        };
+        let cloud = Cloud {
             points,
             layout: parameters.layout,
             organized: parameters.organized,
         };
-        match self {
-            Self::Points => cloud(Points::All).encode(sweep, &header, message),
-            Self::Ground => cloud(Points::Ground).encode(sweep, &header, message),
-            Self::Nonground => cloud(Points::Nonground).encode(sweep, &header, message),
-            Self::Objects => cloud(Points::Objects).encode(sweep, &header, message),
-            Self::Scan => parameters.scan(sweep, message),
-            Self::Markers => markers::encode(sweep, &header, message),
-            Self::RangeImage => image::encode_ranges(sweep, &header, message),
-            Self::LabelImage => image::encode_labels(sweep, &header, message),
-        }
+        cloud.encode_deskewed(sweep, &header, motion, message);
     }
 }
 
@@ -118,7 +149,9 @@ pub struct Bridge {
     pub name: String,
     /// How it is published.
     pub parameters: Mutex<Arc<SensorParameters>>,
-    /// One for each [`Topic`].
+    /// What deskews it, if something does.
+    pub odometry: Option<Arc<Odometry>>,
+    /// One for each [published](Topic::published) topic.
     pub publishers: Vec<Publisher>,
     /// What came of it, for `/diagnostics`.
     pub seen: Seen,
@@ -155,6 +188,14 @@ pub struct Tally {
     pub latency: Duration,
     /// Why no sweep can be had.
     pub trouble: Option<String>,
+    /// Sweeps that were deskewed for somebody.
+    pub deskewed_sweeps: u64,
+    /// Sweeps that were published as they were measured, as no odometry was there.
+    pub not_deskewed_sweeps: u64,
+    /// Those since the last one that was deskewed.
+    pub not_deskewed_in_a_row: u64,
+    /// Why the newest of them was not.
+    pub not_deskewed: Option<NotDeskewed>,
 }
 
 impl Seen {
@@ -280,24 +321,107 @@ impl Bridge {
             self.note_left_out(view.header);
             return Ok(());
         }
+        let mut messages = self.encode(&view, &parameters, false, None);
+        if self.has_reader(true) {
+            // What is not deskewed does not wait for odometry.
+            publish(messages);
+            let motion = self.motion(&view, &parameters.frame_id);
+            messages = self.encode(&view, &parameters, true, motion.as_ref());
+        }
+        // The daemon has the memory back before the network is waited for.
+        drop(sweep);
+        publish(messages);
+        Ok(())
+    }
+
+    /// The topics that odometry deskews, or the others, with their publishers.
+    fn topics(&self, deskewed: bool) -> impl Iterator<Item = (Topic, &Publisher)> {
+        let topics = Topic::ALL.into_iter().zip(&self.publishers);
+        topics
+            .filter(move |(topic, _)| deskewed == (self.odometry.is_some() && topic.is_deskewed()))
+    }
+
+    fn has_reader(&self, deskewed: bool) -> bool {
+        self.topics(deskewed)
+            .any(|(_, publisher)| publisher.readers() > 0)
+    }
+
+    /// The messages that somebody reads.
+    fn encode(
+        &self,
+        view: &SweepRef<'_>,
+        parameters: &SensorParameters,
+        deskewed: bool,
+        motion: Option<&Motion>,
+    ) -> Vec<(&Publisher, Vec<u8>)> {
         let mut messages = Vec::new();
-        for (topic, publisher) in Topic::ALL.into_iter().zip(&self.publishers) {
+        for (topic, publisher) in self.topics(deskewed) {
             if publisher.readers() > 0 {
                 let before = self.seen.computed[topic as usize].fetch_add(1, Ordering::Relaxed);
                 if topic == Topic::Scan && before == 0 {
                     self.note_band(view.header);
                 }
                 let mut message = publisher.buffer();
-                topic.encode(&view, &parameters, &mut message);
+                topic.encode(view, parameters, motion, &mut message);
                 messages.push((publisher, message));
             }
         }
-        // The daemon has the memory back before the network is waited for.
-        drop(sweep);
-        for (publisher, message) in messages {
-            publisher.publish(message);
+        messages
+    }
+
+    /// How the sensor moved, if that is known.
+    fn motion(&self, view: &SweepRef<'_>, frame_id: &str) -> Option<Motion> {
+        let odometry = self.odometry.as_ref()?;
+        match odometry.motion(view, frame_id) {
+            Ok(motion) => {
+                let (deskewed, before) = self.seen.with_tally(|tally| {
+                    tally.deskewed_sweeps += 1;
+                    let before = std::mem::take(&mut tally.not_deskewed_in_a_row);
+                    (tally.deskewed_sweeps, before)
+                });
+                if before > USUAL_NOT_DESKEWED {
+                    log::info(format_args!(
+                        "{}: sweeps are deskewed from now on",
+                        self.name
+                    ));
+                }
+                if deskewed == 1 {
+                    self.note_mount(odometry, frame_id, view.header);
+                }
+                Some(motion)
+            }
+            Err(why) => {
+                self.note_not_deskewed(why);
+                None
+            }
         }
-        Ok(())
+    }
+
+    /// Warns where nobody says how the sensor sits on what odometry is about.
+    fn note_mount(&self, odometry: &Odometry, frame_id: &str, header: &Header) {
+        if !Pose::of_mount(header).is_given() && !odometry.is_of(frame_id) {
+            log::warn(format_args!(
+                "{}: no mount is given: it is deskewed as if it sits at the origin of the robot's frame, and looks ahead: \
+                 give the daemon a [sensor.mount]",
+                self.name
+            ));
+        }
+    }
+
+    /// Tells once that sweeps are not deskewed; `/diagnostics` counts them all.
+    fn note_not_deskewed(&self, why: NotDeskewed) {
+        let in_a_row = self.seen.with_tally(|tally| {
+            tally.not_deskewed_sweeps += 1;
+            tally.not_deskewed_in_a_row += 1;
+            tally.not_deskewed = Some(why.clone());
+            tally.not_deskewed_in_a_row
+        });
+        if in_a_row == USUAL_NOT_DESKEWED + 1 {
+            log::warn(format_args!(
+                "{}: sweeps are published as they are measured, not deskewed: {why}; /diagnostics counts such sweeps",
+                self.name
+            ));
+        }
     }
 
     fn note_streaming(&self, header: &Header) {
@@ -348,6 +472,12 @@ impl Bridge {
             "{}: no sweep for {seconds} s: {why}",
             self.name
         ));
+    }
+}
+
+fn publish(messages: Vec<(&Publisher, Vec<u8>)>) {
+    for (publisher, message) in messages {
+        publisher.publish(message);
     }
 }
 

@@ -14,7 +14,7 @@ use sweepd_ros2::{Publisher, Subscriber};
 use sweepd_sweep::Header;
 use sweepd_sweep::eye::{eye_faults, eye_sentence};
 
-use crate::bridge::{Bridge, PATIENCE, Tally, Topic, model};
+use crate::bridge::{Bridge, PATIENCE, Tally, Topic, USUAL_NOT_DESKEWED, model};
 
 /// Name of the daemon's status; that of a sensor is `sweepd: NAME`.
 const DAEMON: &str = "sweepd";
@@ -97,6 +97,10 @@ impl Diagnostics {
         values.add("lost packets", tally.lost_packets);
         values.add("dropped datagrams", tally.dropped_datagrams);
         values.add("missing columns", tally.missing_columns);
+        if bridge.odometry.is_some() {
+            values.add("deskewed sweeps", tally.deskewed_sweeps);
+            values.add("not deskewed sweeps", tally.not_deskewed_sweeps);
+        }
         for (topic, publisher) in Topic::ALL.into_iter().zip(&bridge.publishers) {
             let computed = bridge.seen.computed(topic);
             values.add_topic(topic.name(), computed, &publisher.statistics().subscribers);
@@ -215,6 +219,11 @@ fn judge(tally: &Tally, before: &Tally, rate: f64, said: Option<&Value>) -> (Lev
         );
         return (Level::Warn, message);
     }
+    if let Some(why) = &tally.not_deskewed
+        && tally.not_deskewed_in_a_row > USUAL_NOT_DESKEWED
+    {
+        return (Level::Warn, format!("sweeps are not deskewed: {why}"));
+    }
     let lost = tally.lost_packets.saturating_sub(before.lost_packets);
     let dropped = tally
         .dropped_datagrams
@@ -320,6 +329,7 @@ fn get(at: SocketAddr) -> io::Result<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::odometry::NotDeskewed;
     use serde_json::json;
     use std::net::TcpListener;
 
@@ -401,6 +411,11 @@ mod tests {
             incomplete_in_a_row,
             ..seen(0, 0)
         };
+        let not_deskewed = |not_deskewed_in_a_row| Tally {
+            not_deskewed_in_a_row,
+            not_deskewed: Some(NotDeskewed::Silent("/odom".to_owned())),
+            ..seen(0, 0)
+        };
         let unreadable = Tally {
             trouble: Some("another user's".to_owned()),
             ..Tally::default()
@@ -430,6 +445,18 @@ mod tests {
                 "3 packets lost and 0 datagrams dropped since the message before",
             ),
             (&in_parts(2), None, Level::Ok, "streaming, 10.0 sweeps/s"),
+            (
+                &not_deskewed(2),
+                None,
+                Level::Ok,
+                "streaming, 10.0 sweeps/s",
+            ),
+            (
+                &not_deskewed(3),
+                None,
+                Level::Warn,
+                "sweeps are not deskewed: nothing comes on /odom",
+            ),
             (
                 &in_parts(3),
                 Some(&streaming),

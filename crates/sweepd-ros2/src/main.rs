@@ -5,11 +5,13 @@
 mod bridge;
 mod health;
 mod names;
+mod odometry;
 mod parameters;
 #[cfg(test)]
 mod rcl;
 mod ros_args;
 mod services;
+mod track;
 mod transforms;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -33,6 +35,7 @@ use sweepd_ros2::{Durability, Environment, Node, NodeError, Publisher, log};
 use crate::bridge::{Bridge, Seen, Topic};
 use crate::health::Diagnostics;
 use crate::names::{NodeName, Remap, token};
+use crate::odometry::Odometry;
 use crate::parameters::Parameters;
 use crate::ros_args::RosArgs;
 use crate::services::Services;
@@ -105,6 +108,15 @@ fn run(args: &Args, ros: &RosArgs) -> Result<(), Failure> {
             Some(Transforms::new(publisher, base))
         }
     };
+    let odometry = match parameters.deskew {
+        Some(source) => {
+            let topic = source.topic(&parameters.odometry);
+            let topic = name.remapped_topic(topic, &ros.remaps);
+            let odometry = Odometry::new(&node, source, &topic, &parameters.base_frame)?;
+            Some(Arc::new(odometry))
+        }
+        None => None,
+    };
     let topic = name.remapped_topic(DIAGNOSTICS, &ros.remaps);
     let diagnostics = node.publisher(&topic, &DIAGNOSTIC_ARRAY, Durability::Volatile)?;
     std::thread::scope(|scope| {
@@ -116,6 +128,7 @@ fn run(args: &Args, ros: &RosArgs) -> Result<(), Failure> {
             parameters: &parameters,
             domain: &domain,
             transforms: transforms.as_ref(),
+            odometry,
             over: &over,
             bridges: BTreeMap::new(),
             refused: BTreeSet::new(),
@@ -203,6 +216,7 @@ struct Sensors<'scope, 'env> {
     parameters: &'env Parameters,
     domain: &'env Domain,
     transforms: Option<&'env Transforms>,
+    odometry: Option<Arc<Odometry>>,
     over: &'env AtomicBool,
     /// By the token in their topics.
     bridges: BTreeMap<String, Arc<Bridge>>,
@@ -243,13 +257,21 @@ impl Sensors<'_, '_> {
         Ok(())
     }
 
+    /// What is published of each sensor.
+    fn topics(&self) -> &'static [Topic] {
+        Topic::published(self.odometry.is_some())
+    }
+
     /// Warns of the rules that rename nothing, once the first sensors are there.
     fn tell_remaps(&self) {
         let tokens = self.bridges.keys();
+        let of_sensor = self.topics();
         let mut topics: Vec<String> = tokens
-            .flat_map(|token| Topic::ALL.map(|topic| topic.of(token)))
+            .flat_map(|token| of_sensor.iter().map(|topic| topic.of(token)))
             .collect();
         topics.extend([TF_STATIC.to_owned(), DIAGNOSTICS.to_owned()]);
+        let source = self.parameters.deskew;
+        topics.extend(source.map(|source| source.topic(&self.parameters.odometry).to_owned()));
         for remap in self.remaps {
             let moves = |topic: &String| self.name.moves(remap, topic);
             if !self.name.is_renamed_by(remap) && !topics.iter().any(moves) {
@@ -292,7 +314,8 @@ impl Sensors<'_, '_> {
             }
             return Ok(());
         }
-        let publishers: Result<Vec<Publisher>, NodeError> = Topic::ALL
+        let publishers: Result<Vec<Publisher>, NodeError> = self
+            .topics()
             .iter()
             .map(|topic| {
                 let name = self.name.remapped_topic(&topic.of(&token), self.remaps);
@@ -303,6 +326,7 @@ impl Sensors<'_, '_> {
         let bridge = Arc::new(Bridge {
             name: sensor.to_owned(),
             parameters: Mutex::new(Arc::new(self.services.of(sensor))),
+            odometry: self.odometry.clone(),
             publishers: publishers?,
             seen: Seen::default(),
         });

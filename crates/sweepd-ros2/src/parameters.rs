@@ -20,12 +20,13 @@ use serde_saphyr::{Location, Spanned, UserMessageFormatter};
 use sweepd_client::service::{NAME_RULE, is_sensor_name};
 
 use sweepd_messages::rcl::Value;
-use sweepd_messages::{Fields, Layout, MessageHeader, Slice, Stamp, scan};
+use sweepd_messages::{Fields, Layout, MessageHeader, Motion, Slice, Stamp, scan};
 use sweepd_ros2::args::Args;
 use sweepd_sweep::layout::flags;
 use sweepd_sweep::{Header, Pose, SweepRef};
 
 use crate::names::NodeName;
+use crate::odometry::Source as OdometrySource;
 use crate::ros_args::{RosArgs, Source};
 
 /// Where the daemon answers unless its configuration says otherwise.
@@ -33,7 +34,14 @@ const DAEMON_HTTP: &str = "127.0.0.1:9177";
 /// The key above the parameters of a node.
 const SECTION: &str = "ros__parameters";
 /// Parameters of the node.
-const OF_NODE: [&str; 4] = ["sensors", "root", "health", "base_frame"];
+const OF_NODE: [&str; 6] = [
+    "sensors",
+    "root",
+    "health",
+    "base_frame",
+    "deskew",
+    "odometry",
+];
 /// Parameters of a sensor; given for the node, they hold for all sensors.
 const OF_SENSOR: [&str; 9] = [
     "frame_id",
@@ -61,6 +69,10 @@ pub struct Parameters {
     pub health: Option<SocketAddr>,
     /// Frame of the robot, the parent of the sensors' frames; empty: no transforms.
     pub base_frame: String,
+    /// What tells where the robot is, so that sweeps are deskewed.
+    pub deskew: Option<OdometrySource>,
+    /// Topic of [`OdometrySource::Odometry`].
+    pub odometry: String,
     /// Sentences about what was given and means nothing here.
     pub ignored: Vec<String>,
     /// Wrong values by the name before them: of a sensor, or of something of another node.
@@ -136,6 +148,8 @@ impl Default for Parameters {
             root: None,
             health: DAEMON_HTTP.parse().ok(),
             base_frame: "base_link".to_owned(),
+            deskew: None,
+            odometry: "odom".to_owned(),
             ignored: Vec::new(),
             wrong: Vec::new(),
             of_all: Given::default(),
@@ -247,6 +261,15 @@ impl Parameters {
             "root" => text(self.root.as_ref().map(|root| root.display().to_string())),
             "health" => text(self.health.map(|address| address.to_string())),
             "base_frame" => Value::Text(self.base_frame.clone()),
+            "deskew" => Value::Text(
+                match self.deskew {
+                    Some(OdometrySource::Odometry) => "odom",
+                    Some(OdometrySource::Transforms) => "tf",
+                    None => "",
+                }
+                .to_owned(),
+            ),
+            "odometry" => Value::Text(self.odometry.clone()),
             _ => match name.rsplit_once('.') {
                 Some((sensor, "frame_id")) => Value::Text(self.of(sensor).frame_id),
                 Some((sensor, own)) => self.given(sensor).value(own),
@@ -375,6 +398,8 @@ impl Parameters {
             "root" => self.root = optional(value)?.map(PathBuf::from),
             "health" => self.health = health(value)?,
             "base_frame" => self.base_frame = text(value)?,
+            "deskew" => self.deskew = deskew(value)?,
+            "odometry" => self.odometry = text(value)?,
             // Launch files set it for all nodes. A live sensor has no simulated clock.
             "use_sim_time" => drop(switch(value)?),
             _ => match name.rsplit_once('.') {
@@ -420,8 +445,8 @@ impl SensorParameters {
             && !self.base_frame.is_empty()
     }
 
-    /// Appends the scan of a sweep.
-    pub fn scan(&self, sweep: &SweepRef<'_>, message: &mut Vec<u8>) {
+    /// Appends the scan of a sweep, deskewed by a motion.
+    pub fn scan(&self, sweep: &SweepRef<'_>, motion: Option<&Motion>, message: &mut Vec<u8>) {
         let mount = Pose::of_mount(sweep.header);
         let (pose, frame_id) = match self.scans_for_robot(sweep.header) {
             true => (Some(&mount), &self.base_frame),
@@ -429,7 +454,7 @@ impl SensorParameters {
         };
         let stamp = self.stamp;
         let header = MessageHeader { frame_id, stamp };
-        scan::encode(sweep, self.slice, pose, None, &header, message);
+        scan::encode(sweep, self.slice, pose, motion, &header, message);
     }
 }
 
@@ -439,7 +464,11 @@ impl Given {
         match name {
             "frame_id" => self.frame_id = optional(value)?,
             "stamp" => {
-                let stamps = [("first", Stamp::First), ("last", Stamp::Last)];
+                let stamps = [
+                    ("first", Stamp::First),
+                    ("middle", Stamp::Middle),
+                    ("last", Stamp::Last),
+                ];
                 self.stamp = Some(choice(value, &stamps)?);
             }
             "organized" => self.organized = Some(switch(value)?),
@@ -471,6 +500,7 @@ impl Given {
             "frame_id" => Value::Text(self.frame_id.clone().unwrap_or_default()),
             "stamp" => Value::Text(match self.stamp {
                 Some(Stamp::Last) => "last".to_owned(),
+                Some(Stamp::Middle) => "middle".to_owned(),
                 Some(Stamp::First) | None => "first".to_owned(),
             }),
             "organized" => Value::Bool(self.organized.unwrap_or(false)),
@@ -522,8 +552,10 @@ pub fn description(name: &str) -> &'static str {
         "root" => "folder by which the daemon is found; empty: the usual one",
         "health" => "where the daemon's /health is; empty: nowhere",
         "base_frame" => "parent in /tf_static; empty: no transforms",
+        "deskew" => "what tells where the robot is, for deskewed topics: odom, tf; empty: nothing",
+        "odometry" => "topic that deskew: odom reads",
         "frame_id" => "frame of the sensor's messages",
-        "stamp" => "time of a message, that of the sweep's first or last shot: first, last",
+        "stamp" => "time of a message in its sweep: first, middle, last",
         "organized" => "rows and columns, NaN where there is no return",
         "layout" => "what a point holds: xyzirt, autoware",
         "fields" => "fields of xyzirt; x, y and z are always there",
@@ -640,6 +672,15 @@ fn health(value: &Spanned<Tree>) -> Result<Option<SocketAddr>, String> {
     };
     let wrong = |_| format!("expected IP:PORT such as {DAEMON_HTTP}, or nothing");
     address.parse().map(Some).map_err(wrong)
+}
+
+fn deskew(value: &Spanned<Tree>) -> Result<Option<OdometrySource>, String> {
+    let sources = [
+        ("odom", OdometrySource::Odometry),
+        ("tf", OdometrySource::Transforms),
+    ];
+    let is_given = optional(value)?.is_some();
+    is_given.then(|| choice(value, &sources)).transpose()
 }
 
 fn fields(value: &Spanned<Tree>) -> Result<Fields, String> {
@@ -854,6 +895,8 @@ mod tests {
     root: /run/x
     health: ''
     base_frame: base
+    deskew: odom
+    odometry: /wheels
     use_sim_time: true
     stamp: last
     fields: [x, y, z]
@@ -870,6 +913,10 @@ mod tests {
         assert_eq!(
             (parameters.health, &parameters.base_frame[..]),
             (None, "base")
+        );
+        assert_eq!(
+            (parameters.deskew, &parameters.odometry[..]),
+            (Some(OdometrySource::Odometry), "/wheels")
         );
         let (roof, front) = (parameters.of("roof"), parameters.of("front-left"));
         assert_eq!((roof.stamp, front.stamp), (Stamp::Last, Stamp::First));
@@ -937,9 +984,9 @@ mod tests {
     fn what_is_wrong_is_named_with_its_line_and_what_is_known() {
         for (parameters, line, part) in [
             (
-                "stamp: middle",
+                "stamp: centre",
                 3,
-                "`stamp`: expected first or last, not `middle`",
+                "`stamp`: expected first or middle or last, not `centre`",
             ),
             ("stamp: [last]", 3, "`stamp`: expected one value"),
             ("organized: 1", 3, "expected true or false, not `1`"),
@@ -963,8 +1010,9 @@ mod tests {
             (
                 "{sensors: [roof], roof: {stamp: x}}",
                 3,
-                "expected first or last",
+                "expected first or middle or last",
             ),
+            ("deskew: imu", 3, "`deskew`: expected odom or tf, not `imu`"),
             ("stamp: {", 3, "unclosed bracket"),
         ] {
             let error =
@@ -999,7 +1047,7 @@ mod tests {
             (
                 "/**:\n  ros__parameters: {stmap: last}",
                 "2",
-                "unknown parameter `stmap`: known are sensors, root, health, base_frame, frame_id, stamp",
+                "unknown parameter `stmap`: known are sensors, root, health, base_frame, deskew, odometry, frame_id, stamp",
             ),
             (
                 "/**:\n  ros__parameters:\n    roof:\n      frame_id: a\n      rate: 3",

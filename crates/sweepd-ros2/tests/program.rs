@@ -26,14 +26,14 @@ fn said(output: &Output) -> String {
 fn what_is_wrong_is_one_line_and_an_exit_code() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("ros2.yaml");
-    std::fs::write(&file, "/**:\n  ros__parameters:\n    stamp: middle\n").unwrap();
+    std::fs::write(&file, "/**:\n  ros__parameters:\n    stamp: centre\n").unwrap();
     let file = file.to_str().unwrap();
     for (dds_domain, words, code, part) in [
         (
             "140",
             &["--parameters", file][..],
             78,
-            "ros2.yaml:3: `stamp`: expected first or last",
+            "ros2.yaml:3: `stamp`: expected first or middle or last",
         ),
         (
             "140",
@@ -43,9 +43,9 @@ fn what_is_wrong_is_one_line_and_an_exit_code() {
         ),
         (
             "140",
-            &["--ros-args", "-p", "stamp:=middle"],
+            &["--ros-args", "-p", "stamp:=centre"],
             78,
-            "-p stamp:=middle: `stamp`: expected first or last",
+            "-p stamp:=centre: `stamp`: expected first or middle or last",
         ),
         (
             "140",

@@ -1,0 +1,216 @@
+//! The odometry of the robot, as the ROS graph tells it.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use sweepd_messages::message_type::{MessageType, ODOMETRY, TF_MESSAGE};
+use sweepd_messages::odometry::Located;
+use sweepd_messages::{Motion, Stamp};
+use sweepd_ros2::{Node, NodeError, Quality, Subscription};
+use sweepd_sweep::{Header, Pose, SweepRef};
+
+use crate::track::{Missing, Poses, Track};
+
+/// Messages that wait until a sweep needs them; no more are read at once.
+const DEPTH: usize = 256;
+/// Between looks for the pose of a sweep's end.
+const LOOK_EVERY: Duration = Duration::from_millis(2);
+/// Odometry is silent when nothing comes for this long.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+/// Which messages tell where the robot is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// `nav_msgs/Odometry`.
+    Odometry,
+    /// `/tf`: the transform whose child is the robot's frame.
+    Transforms,
+}
+
+impl Source {
+    /// Its topic, before rules for names.
+    pub fn topic(self, odometry: &str) -> &str {
+        match self {
+            Self::Odometry => odometry,
+            Self::Transforms => "/tf",
+        }
+    }
+
+    fn message_type(self) -> &'static MessageType {
+        match self {
+            Self::Odometry => &ODOMETRY,
+            Self::Transforms => &TF_MESSAGE,
+        }
+    }
+}
+
+/// Where the robot was lately. All sensors share it.
+pub struct Odometry {
+    source: Source,
+    subscription: Subscription,
+    /// The frame of the robot.
+    base: String,
+    heard: Mutex<Heard>,
+}
+
+#[derive(Default)]
+struct Heard {
+    track: Track,
+    /// When the newest pose came.
+    at: Option<Instant>,
+}
+
+/// Why a sweep is not deskewed.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum NotDeskewed {
+    /// There is no publisher.
+    #[error("nobody publishes {0}: is it the right topic?")]
+    Unpublished(String),
+    /// Nothing comes.
+    #[error("nothing comes on {0}")]
+    Silent(String),
+    /// Nothing comes any more.
+    #[error("nothing has come on {topic} for {} s", since.as_secs())]
+    Stopped {
+        /// Its topic.
+        topic: String,
+        /// Since the newest pose.
+        since: Duration,
+    },
+    /// It is about another frame.
+    #[error(
+        "{topic} tells where `{child}` is, not `{base}`: give `base_frame` the name of the frame that it tells of, and the \
+         sensor's mount from there"
+    )]
+    OtherFrame {
+        /// Its topic.
+        topic: String,
+        /// The frame that it is about.
+        child: String,
+        /// The robot's.
+        base: String,
+    },
+    /// There are no poses of that time.
+    #[error(transparent)]
+    Missing(#[from] Missing),
+}
+
+impl Odometry {
+    /// Subscribes to it.
+    ///
+    /// # Errors
+    /// A name that ROS does not take.
+    pub fn new(node: &Node, source: Source, topic: &str, base: &str) -> Result<Self, NodeError> {
+        // Publishers of both qualities match, and a message that is lost is made up for by the next.
+        let quality = Quality::BestEffort;
+        Ok(Self {
+            source,
+            subscription: node.subscription(topic, source.message_type(), quality, DEPTH)?,
+            base: base.to_owned(),
+            heard: Mutex::default(),
+        })
+    }
+
+    /// Whether it tells where this frame is.
+    pub fn is_of(&self, frame: &str) -> bool {
+        self.hear().track.child() == frame
+    }
+
+    /// How a sensor moved during a sweep. Waits for at most half a turn where poses come, but not that of
+    /// the last shot yet.
+    ///
+    /// # Errors
+    /// [`NotDeskewed`].
+    pub fn motion(&self, sweep: &SweepRef<'_>, frame_id: &str) -> Result<Motion, NotDeskewed> {
+        let ends_ns = [Stamp::First, Stamp::Last].map(|stamp| stamp.time_ns(sweep));
+        let (poses, is_of_sensor) = self.wait(ends_ns, half_a_turn(sweep.header), frame_id)?;
+        let sensor = match is_of_sensor {
+            true => Pose::ROS,
+            false => Pose::ROS * mount(sweep.header),
+        };
+        Ok(Motion::of(sweep, |time_ns| poses.at(time_ns) * sensor))
+    }
+
+    /// The poses around a sweep, and whether they are those of the sensor itself.
+    fn wait(
+        &self,
+        ends_ns: [i64; 2],
+        patience: Duration,
+        frame_id: &str,
+    ) -> Result<(Poses, bool), NotDeskewed> {
+        let begun = Instant::now();
+        loop {
+            let heard = self.hear();
+            let guess = begun.elapsed() >= patience;
+            let found = self.around(&heard, ends_ns, guess, frame_id);
+            drop(heard);
+            match found {
+                Err(NotDeskewed::Missing(Missing::Late(_))) if !guess => {
+                    std::thread::sleep(LOOK_EVERY);
+                }
+                found => return found,
+            }
+        }
+    }
+
+    /// Takes what has come.
+    fn hear(&self) -> MutexGuard<'_, Heard> {
+        let mut heard = self.heard.lock().unwrap_or_else(PoisonError::into_inner);
+        for message in (0..DEPTH).map_while(|_| self.subscription.take()) {
+            let located = match self.source {
+                Source::Odometry => Located::of_odometry(&message).ok(),
+                Source::Transforms => Located::of_transforms(&message, &self.base).ok().flatten(),
+            };
+            if located.is_some_and(|located| heard.track.add(&located)) {
+                heard.at = Some(Instant::now());
+            }
+        }
+        heard
+    }
+
+    fn around(
+        &self,
+        heard: &Heard,
+        ends_ns: [i64; 2],
+        guess: bool,
+        frame_id: &str,
+    ) -> Result<(Poses, bool), NotDeskewed> {
+        let topic = || self.subscription.topic().to_owned();
+        let silent = heard.at.map(|at| at.elapsed());
+        match silent {
+            Some(silent) if silent < PATIENCE => {}
+            _ if self.subscription.publishers() == 0 => {
+                return Err(NotDeskewed::Unpublished(topic()));
+            }
+            Some(since) => {
+                let topic = topic();
+                return Err(NotDeskewed::Stopped { topic, since });
+            }
+            None => return Err(NotDeskewed::Silent(topic())),
+        }
+        let child = heard.track.child();
+        let is_of_sensor = child == frame_id;
+        if !is_of_sensor && child != self.base {
+            return Err(NotDeskewed::OtherFrame {
+                topic: topic(),
+                child: child.to_owned(),
+                base: self.base.clone(),
+            });
+        }
+        Ok((heard.track.around(ends_ns, guess)?, is_of_sensor))
+    }
+}
+
+/// Where the sensor sits on the robot; at its origin where the daemon does not know.
+fn mount(header: &Header) -> Pose {
+    Some(Pose::of_mount(header))
+        .filter(Pose::is_given)
+        .unwrap_or(Pose::IDENTITY)
+}
+
+/// How long the sensor takes for half a turn.
+fn half_a_turn(header: &Header) -> Duration {
+    let seconds = 30.0 / f64::from(header.rpm);
+    // No sensor turns more slowly than 300 times a minute.
+    Duration::try_from_secs_f64(seconds.min(0.1)).unwrap_or_default()
+}
