@@ -125,7 +125,7 @@ fn ros_reads_every_type() {
 #[test]
 #[cfg_attr(without_rosbags, ignore = "no SWEEPD_ROS_PYTHON")]
 fn where_a_robot_is_is_read_as_ros_wrote_it() {
-    let folder = folder("odometry");
+    let folder = folder("located");
     for kind in [&ODOMETRY, &TF_MESSAGE] {
         let (_, name) = kind.name.rsplit_once('/').unwrap();
         std::fs::write(folder.join(name).with_extension("txt"), kind.definition).unwrap();

@@ -97,13 +97,26 @@ fn clouds(peer: &mut Peer, topic: &str, flat: bool, many: usize, start_ns: i64) 
             continue;
         }
         let off_m = flatness_m(&said, start_ns);
-        assert!(off_m < FLAT_M || off_m > BENT_M, "{off_m} m");
+        assert!(!(FLAT_M..=BENT_M).contains(&off_m), "{off_m} m");
         if (off_m < FLAT_M) == flat {
             (worst_m, found) = (worst_m.max(off_m), found + 1);
         }
     }
     println!("{topic}: {many} clouds, {worst_m} m off the wall at most");
     worst_m
+}
+
+/// Waits until `/diagnostics` says this of the sensor.
+fn wait_for_diagnosis(peer: &mut Peer, why: &str) {
+    let is_told = |status: &Value| {
+        status["message"]
+            .as_str()
+            .is_some_and(|said| said.contains(why))
+    };
+    peer.wait_for(why, |said| {
+        let statuses = said.line["diagnostics"].as_array();
+        statuses.is_some_and(|all| all.iter().any(is_told))
+    });
 }
 
 #[test]
@@ -115,18 +128,10 @@ fn odometry_makes_a_wall_flat_and_without_it_the_cloud_is_raw() {
     let _alone = alone();
     let world = World::new(&[]);
     let (capture, start_ns) = record(&world);
-    let bridge = world.bridge_of_whole_turns(
-        DDS_DOMAIN,
-        &[
-            "--ros-args",
-            "-p",
-            "deskew:=odom",
-            "-p",
-            "health:=",
-            "-p",
-            "stamp:=middle",
-        ],
-    );
+    let parameters = ["deskew:=odom", "health:=", "stamp:=middle"];
+    let parameters = parameters.map(|parameter| ["-p", parameter]).concat();
+    let bridge =
+        world.bridge_of_whole_turns(DDS_DOMAIN, &[&["--ros-args"], &parameters[..]].concat());
     let _replay = replay(&world, &capture);
     let wanted = json!({
         "clouds": [RAW, DESKEWED, NONGROUND],
@@ -145,7 +150,7 @@ fn odometry_makes_a_wall_flat_and_without_it_the_cloud_is_raw() {
     );
 
     // With it.
-    let moves = json!({
+    let mut moves = json!({
         "cloud": RAW, "start_ns": start_ns, "velocity": VELOCITY, "turn": TURN, "child": "base_link",
     });
     let moving = Peer::robot(DDS_DOMAIN, &moves).ready();
@@ -157,43 +162,20 @@ fn odometry_makes_a_wall_flat_and_without_it_the_cloud_is_raw() {
         log.contains("roof: sweeps are deskewed from now on"),
         "{log}"
     );
-    let told = peer.wait_for("the counts", |said| {
+    peer.wait_for("the counts", |said| {
         values(&said.line, "roof").is_some_and(|values| number(values, "deskewed sweeps") >= 70)
     });
-    let counts = values(&told.line, "roof").unwrap();
-    println!("{counts}");
 
     // No more of it.
     drop(moving);
     clouds(&mut peer, DESKEWED, false, 10, start_ns);
-    let why = "sweeps are not deskewed: ";
-    let is_told = |status: &Value| {
-        status["message"]
-            .as_str()
-            .is_some_and(|said| said.starts_with(why))
-    };
-    peer.wait_for("the warning", |said| {
-        said.line["diagnostics"]
-            .as_array()
-            .is_some_and(|all| all.iter().any(is_told))
-    });
+    wait_for_diagnosis(&mut peer, "sweeps are not deskewed: ");
     let log = bridge.log();
     println!("{log}");
     assert_eq!(log.matches("not deskewed: ").count(), 2, "{log}");
 
     // Of a frame that is not the robot's.
-    let mut other = moves;
-    other["child"] = json!("base_footprint");
-    let _moving = Peer::robot(DDS_DOMAIN, &other).ready();
-    let why = "`base_footprint` is, not `base_link`";
-    let is_told = |status: &Value| {
-        status["message"]
-            .as_str()
-            .is_some_and(|said| said.contains(why))
-    };
-    peer.wait_for("the other frame", |said| {
-        said.line["diagnostics"]
-            .as_array()
-            .is_some_and(|all| all.iter().any(is_told))
-    });
+    moves["child"] = json!("base_footprint");
+    let _moving = Peer::robot(DDS_DOMAIN, &moves).ready();
+    wait_for_diagnosis(&mut peer, "`base_footprint` is, not `base_link`");
 }

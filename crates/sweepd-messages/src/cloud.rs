@@ -212,6 +212,19 @@ impl Layout {
         all
     }
 
+    fn write_fields(self, writer: &mut Writer<'_>) {
+        let fields = self.fields();
+        writer.count(fields.len());
+        let mut offset = 0;
+        for (name, datatype) in fields {
+            writer.text(name);
+            writer.count(offset);
+            writer.u8(datatype as u8);
+            writer.count(1);
+            offset += datatype.bytes();
+        }
+    }
+
     /// Bytes of a point.
     pub fn point_step(self) -> usize {
         self.fields()
@@ -259,16 +272,7 @@ impl Cloud {
         writer.header(stamp_ns, header.frame_id);
         writer.count(if self.organized { rows } else { 1 });
         let width = writer.later();
-        let fields = self.layout.fields();
-        writer.count(fields.len());
-        let mut offset = 0;
-        for (name, datatype) in fields {
-            writer.text(name);
-            writer.count(offset);
-            writer.u8(datatype as u8);
-            writer.count(1);
-            offset += datatype.bytes();
-        }
+        self.layout.write_fields(&mut writer);
         writer.bool(false);
         writer.count(step);
         let row_step = writer.later();
