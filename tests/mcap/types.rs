@@ -150,5 +150,12 @@ fn where_a_robot_is_is_read_as_ros_wrote_it() {
             let found = Located::of_transforms(&transforms[..cut], "base_link");
             assert!(found.is_err(), "{cut}");
         }
+        // Lengths and counts that are not so.
+        for at in 0..transforms.len() {
+            let mut wrong = transforms.clone();
+            wrong[at] = 0xFF;
+            let _ = Located::of_transforms(&wrong, "base_link");
+            let _ = Located::of_odometry(&wrong);
+        }
     }
 }

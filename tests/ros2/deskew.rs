@@ -22,8 +22,9 @@ use super::expected::STEP;
 use super::peer::{Peer, Said};
 use super::world::World;
 
-/// DDS domain of this test.
+/// DDS domains of these tests.
 const DDS_DOMAIN: u32 = 97;
+const OF_TRANSFORMS: u32 = 99;
 const RAW: &str = "/sweepd/roof/points";
 const DESKEWED: &str = "/sweepd/roof/points_deskewed";
 const NONGROUND: &str = "/sweepd/roof/nonground";
@@ -178,4 +179,26 @@ fn odometry_makes_a_wall_flat_and_without_it_the_cloud_is_raw() {
     moves["child"] = json!("base_footprint");
     let _moving = Peer::robot(DDS_DOMAIN, &moves).ready();
     wait_for_diagnosis(&mut peer, "`base_footprint` is, not `base_link`");
+}
+
+#[test]
+#[cfg_attr(
+    without_ros,
+    ignore = "no peers of ROS 2: SWEEPD_JAZZY, SWEEPD_KILTED, SWEEPD_ROS_PYTHON, libfastrtps-dev"
+)]
+fn transforms_make_a_wall_flat_too() {
+    let _alone = alone();
+    let world = World::new(&[]);
+    let (capture, start_ns) = record(&world);
+    let parameters = ["--ros-args", "-p", "deskew:=tf", "-p", "health:="];
+    let _bridge = world.bridge_of_whole_turns(OF_TRANSFORMS, &parameters);
+    let _replay = replay(&world, &capture);
+    let wanted = json!({"clouds": [DESKEWED], "data": true, "qualities": ["reliable"]});
+    let mut peer = Peer::ros("SWEEPD_JAZZY", OF_TRANSFORMS, &wanted).ready();
+    clouds(&mut peer, DESKEWED, false, 3, start_ns);
+    let moves = json!({
+        "cloud": RAW, "start_ns": start_ns, "velocity": VELOCITY, "turn": TURN, "child": "base_link",
+    });
+    let _moving = Peer::transforms(OF_TRANSFORMS, moves).ready();
+    clouds(&mut peer, DESKEWED, true, 20, start_ns);
 }

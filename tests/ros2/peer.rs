@@ -62,11 +62,21 @@ impl Peer {
     }
 
     /// The command that starts it.
-    pub fn cyclone_command(dds_domain: u32, mut wanted: Value) -> Command {
+    pub fn cyclone_command(dds_domain: u32, wanted: Value) -> Command {
+        Self::cyclone_script("dds_peer.py", dds_domain, wanted)
+    }
+
+    /// Cyclone DDS that tells where a robot is on `/tf`.
+    pub fn transforms(dds_domain: u32, moves: Value) -> Self {
+        let command = Self::cyclone_script("transforms.py", dds_domain, moves);
+        Self::start(command, dds_domain)
+    }
+
+    fn cyclone_script(name: &str, dds_domain: u32, mut wanted: Value) -> Command {
         wanted["domain"] = dds_domain.into();
         let mut command = Command::new(interpreter("SWEEPD_ROS_PYTHON"));
         command
-            .arg(script("dds_peer.py"))
+            .arg(script(name))
             .arg(wanted.to_string())
             .env("CYCLONEDDS_URI", CYCLONE);
         command
