@@ -25,7 +25,7 @@ const LARGEST_MESSAGE: usize = 1 << 20;
 const LARGEST_REQUEST: usize = 1 << 16;
 const SERVICE_DEPTH: usize = 10;
 
-/// How long a request waits for its client to be told of who answers.
+/// How long a request waits until its client is known to hear answers.
 const CLIENT_HEARS_WITHIN: Duration = Duration::from_secs(1);
 
 /// Longest name of a node, and longest of a topic with its namespace, in bytes.
@@ -445,8 +445,8 @@ pub struct Service {
     node: Arc<Inner>,
     reader: ReaderHandle,
     writer: WriterHandle,
-    /// A request whose client does not hear answers yet, and since when it waits.
-    early: Mutex<Option<(Sample, Instant)>>,
+    /// Requests whose clients may not hear answers yet, and since when they wait.
+    early: Mutex<Vec<(Sample, Instant)>>,
 }
 
 /// A request of a client.
@@ -460,20 +460,22 @@ impl Request {
 }
 
 impl Service {
-    /// Takes the oldest request that waits, if there is one. It never waits.
+    /// Takes the oldest request that waits, if there is one, of a client that hears answers. It never waits.
     pub fn take(&self) -> Option<Request> {
         let mut early = lock(&self.early);
-        let (sample, since) = match early.take() {
-            Some(early) => early,
-            None => (self.reader.inbox.take()?, Instant::now()),
-        };
-        let participant = &self.node.participant;
-        let hears = participant.is_read_by(&self.writer, sample.id.writer.prefix);
-        if !hears && since.elapsed() < CLIENT_HEARS_WITHIN {
-            *early = Some((sample, since));
-            return None;
+        early.retain(|(_, since)| since.elapsed() < CLIENT_HEARS_WITHIN);
+        while early.len() < SERVICE_DEPTH
+            && let Some(sample) = self.reader.inbox.take()
+        {
+            early.push((sample, Instant::now()));
         }
-        Some(Request(sample))
+        let participant = &self.node.participant;
+        let hears = |sample: &Sample| {
+            let client = sample.id.writer.prefix;
+            participant.is_read_by(&self.writer, client)
+        };
+        let index = early.iter().position(|(sample, _)| hears(sample))?;
+        Some(Request(early.remove(index).0))
     }
 
     /// Answers a request: CDR, its encapsulation included.

@@ -229,10 +229,11 @@ impl Participant {
         self.shared.write(writer, body);
     }
 
-    /// Whether somebody of a participant reads a writer.
+    /// Whether somebody of a participant gets the samples of a writer.
     pub fn is_read_by(&self, writer: &WriterHandle, prefix: Prefix) -> bool {
-        let readers = self.readers(writer);
-        readers.iter().any(|(one, _)| one.guid.prefix == prefix)
+        let state = lock(&self.shared.state);
+        let writer = state.writers.get(&writer.guid.entity);
+        writer.is_some_and(|(_, writer)| writer.is_read_by(prefix))
     }
 
     /// A buffer to write a sample of that writer into.

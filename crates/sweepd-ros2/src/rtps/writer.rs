@@ -324,9 +324,6 @@ impl Writer {
         self.complete += 1;
         for reader in self.readers.values_mut() {
             reader.ask_after(HEARTBEAT_INTERVAL, now);
-            reader
-                .repaired
-                .retain(|_, at| now.duration_since(*at) < REPAIR_INTERVAL);
         }
         if !ended.is_empty() {
             self.counters.written.fetch_add(1, Ordering::Relaxed);
@@ -423,11 +420,9 @@ impl Writer {
         now: Instant,
         out: &mut Outbox,
     ) -> bool {
-        let mut whole = self
-            .history
-            .iter()
-            .take_while(|sample| sample.number <= self.complete);
-        let Some(sample) = whole.find(|sample| sample.number == number).cloned() else {
+        let index = (self.history).partition_point(|sample| sample.number < number);
+        let is_it = |sample: &&Arc<Sample>| sample.number == number && number <= self.complete;
+        let Some(sample) = self.history.get(index).filter(is_it).cloned() else {
             return false;
         };
         let first = self.first();
@@ -502,6 +497,10 @@ impl Writer {
     pub fn tick(&mut self, now: Instant, out: &mut Outbox) {
         let pulse = self.pulse(self.first(), self.complete);
         for (guid, reader) in &mut self.readers {
+            // Of a long history, a reader may have asked for much.
+            reader
+                .repaired
+                .retain(|_, at| now.duration_since(*at) < REPAIR_INTERVAL);
             let waiting = reader.reliable && reader.acknowledged < self.complete;
             let can_answer = reader.is_confirmed && !reader.is_busy();
             if !waiting || !can_answer || now < reader.asked + reader.interval {
@@ -520,6 +519,12 @@ impl Writer {
         let pulse = self.pulse(self.first(), self.complete);
         message.heartbeat(to.entity, self.guid.entity, pulse.beat());
         message
+    }
+
+    /// Whether somebody of a participant gets samples.
+    pub fn is_read_by(&self, prefix: Prefix) -> bool {
+        let mut readers = self.readers.iter();
+        readers.any(|(guid, reader)| guid.prefix == prefix && reader.is_confirmed)
     }
 
     /// The readers, and what they lost.
