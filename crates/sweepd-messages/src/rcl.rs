@@ -364,3 +364,67 @@ fn write_result(result: &Result<(), String>, writer: &mut Writer<'_>) {
     writer.bool(result.is_ok());
     writer.text(result.as_ref().err().map_or("", String::as_str));
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn requests_are_read_and_those_that_are_none_are_refused() {
+        let values = [
+            Value::NotSet,
+            Value::Bool(true),
+            Value::Integer(-3),
+            Value::Double(0.5),
+            Value::Text("last".to_owned()),
+            Value::Bytes(vec![1, 2, 3]),
+            Value::Bools(vec![true, false]),
+            Value::Integers(vec![1, -1]),
+            Value::Doubles(vec![-0.5, 2.0]),
+            Value::Texts(vec!["x".to_owned(), String::new()]),
+        ];
+        let parameters = values.map(|value| (format!("a{}", value.type_number()), value));
+        let mut message = Vec::new();
+        let mut writer = Writer::new(&mut message);
+        writer.count(parameters.len());
+        for (name, value) in &parameters {
+            writer.text(name);
+            value.write(&mut writer);
+        }
+        let set = Request::Set(parameters.to_vec());
+        assert_eq!(Request::read(4, &message), Ok(set));
+        for end in 0..message.len() {
+            assert!(Request::read(5, &message[..end]).is_err());
+        }
+        // Lengths that are longer than the message.
+        for at in 4..message.len() {
+            let mut longer = message.clone();
+            longer[at] = 0xff;
+            for service in 0..PARAMETER_SERVICES.len() {
+                let _ = Request::read(service, &longer);
+            }
+        }
+    }
+
+    /// By hand: the type, and a field for each other type, which is empty.
+    #[test]
+    fn a_value_has_the_bytes_of_its_definition() {
+        let mut message = Vec::new();
+        Reply::Get(vec![Value::Doubles(vec![1.0])]).encode(&mut message);
+        let expected = [
+            &[0, 1, 0, 0][..],
+            // One value; its type, and a truth value.
+            &[1, 0, 0, 0, 8, 0, 0, 0],
+            // A whole number and a number, aligned to 8.
+            &[0; 16],
+            // A text, and three sequences.
+            &[1, 0, 0, 0, 0, 0, 0, 0],
+            &[0; 12],
+            // One number, and no texts.
+            &[1, 0, 0, 0],
+            &1.0_f64.to_le_bytes(),
+            &[0; 4],
+        ];
+        assert_eq!(message, expected.concat());
+    }
+}

@@ -1079,6 +1079,36 @@ mod tests {
     }
 
     #[test]
+    fn what_a_client_gets_it_can_set() {
+        let text = "
+/robot/sweepd:
+  ros__parameters:
+    stamp: last
+    fields: [x, y, z, ring]
+    scan_heights: [0.1, 1]
+    roof: {organized: true, layout: autoware, scan_ring: 3}
+";
+        let mut parameters = parse(text).unwrap();
+        let before = parameters.of("roof");
+        for name in Parameters::names(["roof"].into_iter()) {
+            let value = parameters.value(&name);
+            let set = parameters.set_running(&name, &value);
+            assert_eq!(set.is_err(), Parameters::is_fixed(&name), "{name}: {set:?}");
+            assert_eq!(parameters.value(&name), value);
+            assert!(!description(&name).is_empty(), "{name}");
+        }
+        assert_eq!(parameters.of("roof"), before);
+        let heights_m = Value::Doubles(vec![0.1, 1.0]);
+        assert_eq!(parameters.value("roof.scan_heights"), heights_m);
+        // As in a file, a list of whole numbers will do.
+        let heights_m = Value::Integers(vec![0, 2]);
+        assert_eq!(parameters.set_running("scan_heights", &heights_m), Ok(()));
+        let wrong = parameters.set_running("roof.stamp", &Value::Bool(true));
+        let words = "`roof.stamp`: expected first or last, not `true`";
+        assert_eq!(wrong, Err(words.to_owned()));
+    }
+
+    #[test]
     fn arguments_are_parameters_too() {
         let mut parameters = Parameters::default();
         for (name, value) in [
