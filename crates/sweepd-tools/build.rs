@@ -8,7 +8,7 @@ use std::path::PathBuf;
 fn main() {
     let data = std::env::var_os("SWEEPD_DATA").map_or("../../../shared/data".into(), PathBuf::from);
     let is_root = fs::metadata("/proc/self").is_ok_and(|own| own.uid() == 0);
-    for variable in ["SWEEPD_DATA", "SWEEPD_PYTHON", "CI"] {
+    for variable in ["SWEEPD_DATA", "SWEEPD_NODE_MODULES", "SWEEPD_PYTHON", "CI"] {
         println!("cargo:rerun-if-env-changed={variable}");
     }
     println!("cargo:rerun-if-changed=build.rs");
@@ -16,6 +16,10 @@ fn main() {
     for (name, is_there) in [
         ("captures", data.join("pcap").is_dir()),
         ("chromium", has("chromium")),
+        (
+            "foxglove",
+            std::env::var_os("SWEEPD_NODE_MODULES").is_some(),
+        ),
         ("python", std::env::var_os("SWEEPD_PYTHON").is_some()),
         ("root", is_root && has("unshare") && has("ip")),
     ] {

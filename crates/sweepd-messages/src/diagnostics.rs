@@ -1,5 +1,7 @@
 //! `diagnostic_msgs/DiagnosticArray`: what the caller knows of its health.
 
+use sweepd_sweep::{Header, Model};
+
 use crate::cdr::Writer;
 
 /// How well something is.
@@ -29,6 +31,37 @@ pub struct Status {
     pub hardware_id: String,
     /// Keys and values.
     pub values: Vec<(String, String)>,
+}
+
+/// Name of the daemon's status; [`name_of`] has that of a sensor.
+pub const DAEMON: &str = "sweepd";
+
+/// Name of a sensor's status.
+pub fn name_of(sensor: &str) -> String {
+    format!("{DAEMON}: {sensor}")
+}
+
+/// Name of the model in a header.
+pub fn model_of(header: &Header) -> String {
+    match Model::from_code(header.model) {
+        Some(model) => model.to_string(),
+        None => format!("model {}", header.model),
+    }
+}
+
+/// What the header of a sensor's newest sweep says: its `hardware_id`, keys and values.
+pub fn of_header(header: &Header) -> (String, Vec<(String, String)>) {
+    let model = model_of(header);
+    let hardware_id = format!("{model} {}", header.sensor());
+    let values = [
+        ("model", model),
+        ("address", header.sensor().to_owned()),
+        ("rpm", format!("{:.1}", header.rpm)),
+        ("returns", header.returns.to_string()),
+        ("segments", header.segments.to_string()),
+    ];
+    let values = values.map(|(key, value)| (key.to_owned(), value));
+    (hardware_id, values.into())
 }
 
 /// Appends the message: what is so at a time, nanoseconds since 1970.

@@ -7,10 +7,10 @@ use std::time::{Duration, Instant};
 use sweepd_client::client::{Client, ClientError, Domain, Sweep};
 use sweepd_client::host::realtime_ns;
 use sweepd_messages::cloud::{Cloud, Points};
+use sweepd_messages::diagnostics::model_of;
 use sweepd_messages::message_type::{IMAGE, LASER_SCAN, MARKER_ARRAY, POINT_CLOUD};
 use sweepd_messages::{MessageHeader, MessageType, Motion, Slice, image, markers};
 use sweepd_ros2::Publisher;
-use sweepd_sweep::Model;
 use sweepd_sweep::layout::flags;
 use sweepd_sweep::{Header, Pose, SweepRef};
 
@@ -428,7 +428,7 @@ impl Bridge {
         log::info(format_args!(
             "{}: {} at {} is published as {}",
             self.name,
-            model(header),
+            model_of(header),
             header.sensor(),
             self.publishers[Topic::Points as usize].topic(),
         ));
@@ -478,13 +478,5 @@ impl Bridge {
 fn publish(messages: Vec<(&Publisher, Vec<u8>)>) {
     for (publisher, message) in messages {
         publisher.publish(message);
-    }
-}
-
-/// Name of the model in a header.
-pub fn model(header: &Header) -> String {
-    match Model::from_code(header.model) {
-        Some(model) => model.to_string(),
-        None => format!("model {}", header.model),
     }
 }

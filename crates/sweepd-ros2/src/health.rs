@@ -9,15 +9,12 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 use sweepd_client::client::Domain;
 use sweepd_client::host::realtime_ns;
-use sweepd_messages::diagnostics::{self, Level, Status};
+use sweepd_messages::diagnostics::{self, DAEMON, Level, Status};
 use sweepd_ros2::{Publisher, Subscriber};
-use sweepd_sweep::Header;
 use sweepd_sweep::eye::{eye_faults, eye_sentence};
 
-use crate::bridge::{Bridge, PATIENCE, Tally, Topic, USUAL_NOT_DESKEWED, model};
+use crate::bridge::{Bridge, PATIENCE, Tally, Topic, USUAL_NOT_DESKEWED};
 
-/// Name of the daemon's status; that of a sensor is `sweepd: NAME`.
-const DAEMON: &str = "sweepd";
 /// Longest wait for the daemon's answer, and longest answer in bytes.
 const ANSWER_WITHIN: Duration = Duration::from_millis(200);
 const ANSWER_BYTES: usize = 1 << 20;
@@ -85,8 +82,7 @@ impl Diagnostics {
         let mut values = Values::default();
         let mut hardware_id = String::new();
         if let Some((header, _)) = &tally.newest {
-            hardware_id = format!("{} {}", model(header), header.sensor());
-            values.add_header(header);
+            (hardware_id, values.0) = diagnostics::of_header(header);
             let latency_ms = 1e3 * tally.latency.as_secs_f64();
             values.add("latency ms", format!("{latency_ms:.2}"));
         }
@@ -110,7 +106,7 @@ impl Diagnostics {
         values.add_numbers("daemon ", said);
         Status {
             level,
-            name: format!("{DAEMON}: {}", bridge.name),
+            name: diagnostics::name_of(&bridge.name),
             message,
             hardware_id,
             values: values.0,
@@ -125,15 +121,6 @@ struct Values(Vec<(String, String)>);
 impl Values {
     fn add(&mut self, key: impl Into<String>, value: impl ToString) {
         self.0.push((key.into(), value.to_string()));
-    }
-
-    /// What the header of the newest sweep says.
-    fn add_header(&mut self, header: &Header) {
-        self.add("model", model(header));
-        self.add("address", header.sensor());
-        self.add("rpm", format!("{:.1}", header.rpm));
-        self.add("returns", header.returns);
-        self.add("segments", header.segments);
     }
 
     /// The subscribers of a topic, how often it was computed, and what each of them lost.

@@ -24,7 +24,7 @@ use crate::VERSION;
 use crate::files::WriteError;
 use crate::files::output::{Existing, NewFile};
 use crate::files::sequence::ending_of;
-use sweepd_core::sweep::{Pose, SweepRef};
+use sweepd_core::sweep::{Header, Pose, SweepRef};
 use sweepd_messages::message_type::{self, MessageType};
 use sweepd_messages::transforms::{self, Transform};
 use sweepd_messages::{Cloud, MessageHeader, Stamp, markers, names};
@@ -62,7 +62,7 @@ const OFFERED: &str = offered!("5", "volatile");
 const OFFERED_STATIC: &str = offered!("1", "transient_local");
 
 /// A topic of a sensor.
-pub(crate) struct Topic {
+pub struct Topic {
     /// Of its channel and its schema, in a file of one sensor.
     pub(crate) id: u16,
     /// Its name; with `{}` for that of the sensor.
@@ -71,19 +71,22 @@ pub(crate) struct Topic {
     offered: &'static str,
 }
 
-const TRANSFORMS: Topic = Topic {
+/// Where the sensor sits.
+pub const TRANSFORMS: Topic = Topic {
     id: 1,
     name: "/tf_static",
     message_type: &message_type::TF_MESSAGE,
     offered: OFFERED_STATIC,
 };
-pub(crate) const POINTS: Topic = Topic {
+/// The points.
+pub const POINTS: Topic = Topic {
     id: 2,
     name: "/sweepd/{}/points",
     message_type: &message_type::POINT_CLOUD,
     offered: OFFERED,
 };
-const MARKERS: Topic = Topic {
+/// The boxes of the segments.
+pub const MARKERS: Topic = Topic {
     id: 3,
     name: "/sweepd/{}/markers",
     message_type: &message_type::MARKER_ARRAY,
@@ -94,9 +97,14 @@ const MARKERS: Topic = Topic {
 pub(crate) const TOPICS: [Topic; 3] = [TRANSFORMS, POINTS, MARKERS];
 
 impl Topic {
-    /// Its name.
-    fn name(&self, sensor: &str) -> String {
+    /// Its name for a sensor with this [`SensorNames::topic`].
+    pub fn name(&self, sensor: &str) -> String {
         self.name.replace("{}", sensor)
+    }
+
+    /// Its messages.
+    pub fn message_type(&self) -> &'static MessageType {
+        self.message_type
     }
 
     /// Adds its channel for the sensor of this name and number in the file, unless there is one; gives
@@ -146,6 +154,39 @@ pub struct MessageForm {
     pub cloud: Cloud,
 }
 
+/// What a sensor is called in its messages.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SensorNames {
+    /// In topics.
+    pub topic: String,
+    /// Its frame.
+    pub frame_id: String,
+}
+
+impl MessageForm {
+    /// The names of the sensor of a sweep. Without a name it has that of its address.
+    pub fn names(&self, header: &Header) -> SensorNames {
+        let own = header.sensor_name();
+        let name = self.name.as_deref().unwrap_or(own);
+        let topic = names::token(name);
+        let frame_id = match &self.frame_id {
+            Some(frame_id) => frame_id,
+            None if name == header.sensor() => &topic,
+            None => name,
+        };
+        let frame_id = frame_id.to_owned();
+        SensorNames { topic, frame_id }
+    }
+}
+
+impl SensorNames {
+    /// From the sensor to the robot, if it was given where it sits.
+    pub fn mount(&self, header: &Header) -> Option<Transform> {
+        let mount = Transform::of_mount(header, ROBOT_FRAME, &self.frame_id);
+        Pose::of_mount(header).is_given().then_some(mount)
+    }
+}
+
 /// The messages of one sweep.
 pub struct SweepMessages {
     /// Name of the sensor in its topics.
@@ -160,33 +201,24 @@ pub struct SweepMessages {
 }
 
 impl SweepMessages {
-    /// Makes them. A sensor without a name has that of its address.
+    /// Makes them.
     pub fn of(sweep: &SweepRef<'_>, form: &MessageForm) -> Self {
-        let own = sweep.header.sensor_name();
-        let name = form.name.as_deref().unwrap_or(own);
-        let sensor = names::token(name);
-        let frame_id = match &form.frame_id {
-            Some(frame_id) => frame_id,
-            None if name == sweep.header.sensor() => &sensor,
-            None => name,
-        };
+        let names = form.names(sweep.header);
         let header = MessageHeader {
-            frame_id,
+            frame_id: &names.frame_id,
             stamp: Stamp::First,
         };
         let mut points = Vec::new();
         form.cloud.encode(sweep, &header, &mut points);
         let mut boxes = Vec::new();
         markers::encode(sweep, &header, &mut boxes);
-        let mount = Transform::of_mount(sweep.header, ROBOT_FRAME, frame_id);
         Self {
-            // A time before 1970 is no time of a record.
-            time_ns: sweep.header.time_ns.max(0) as u64,
-            mount: Pose::of_mount(sweep.header).is_given().then_some(mount),
+            time_ns: time_ns(sweep.header),
+            mount: names.mount(sweep.header),
             points,
             markers: boxes,
-            is_named: names::token(frame_id) == sensor,
-            sensor,
+            is_named: names::token(&names.frame_id) == names.topic,
+            sensor: names.topic,
         }
     }
 
@@ -199,6 +231,11 @@ impl SweepMessages {
     pub fn bytes(&self) -> u64 {
         (self.points.len() + self.markers.len()) as u64
     }
+}
+
+/// The time of a sweep's record. A time before 1970 is none.
+pub fn time_ns(header: &Header) -> u64 {
+    header.time_ns.max(0) as u64
 }
 
 /// Writes one file, from its beginning to its end without seeking.

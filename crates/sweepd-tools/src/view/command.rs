@@ -27,7 +27,8 @@ const LISTEN: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 9178
 #[command(after_help = "\
 The page shows the points, the range image, the labels and the segments, plays and pauses a capture, \
 and tries other options of the segmentation. It is a consumer of its own: the daemon serves no page, \
-and nothing that a browser does can slow a sensor.
+and nothing that a browser does can slow a sensor. Foxglove and Lichtblick show the same: open the connection \
+ws://localhost:9178 in them.
 
 Examples:
   sweepd view pcap_fixtures/street_vlp16.pcap.gz
@@ -55,6 +56,10 @@ pub struct Args {
     /// all pages show
     #[arg(long)]
     public: bool,
+    /// Let web pages of this origin read by the protocol of Foxglove, beside those of this host, Foxglove
+    /// and Lichtblick, such as https://lichtblick.example; give it again for another
+    #[arg(long, value_name = "ORIGIN")]
+    allow_origin: Vec<String>,
     /// Do not open the browser
     #[arg(long)]
     no_open: bool,
@@ -113,7 +118,10 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     let address = listener
         .local_addr()
         .map_err(|source| args.cannot_listen(&source))?;
-    serve(source, listener, address, || args.announce(address))
+    let origins = args.allow_origin.clone();
+    serve(source, listener, address, origins, || {
+        args.announce(address)
+    })
 }
 
 impl Args {

@@ -4,22 +4,24 @@
 //! GET /             the page
 //! GET /page/NAME    its other files
 //! GET /socket       a WebSocket: sweeps to the page, commands from it
+//! GET /             as a WebSocket: messages to Foxglove and its like
 //! ```
 //!
 //! Any web page that a browser on this host shows can send requests here. So a request must name the
-//! address that is listened on, which a name that was redirected (DNS rebinding) is not, and a
-//! socket must be asked for by the page itself. Connections, their time and their bytes are limited.
+//! address that is listened on, which a name that was redirected (DNS rebinding) is not; the page's
+//! socket must be asked for by the page itself, and that of a viewer by a program that is no browser,
+//! or by a page that may read. Connections, their time and their bytes are limited.
 
 use std::convert::Infallible;
 use std::net::SocketAddr;
-use std::sync::Arc;
+use std::sync::{Arc, Once};
 
 use http_body_util::Full;
 use hyper::body::{Bytes, Incoming};
 use hyper::header::{
     CONNECTION, CONTENT_SECURITY_POLICY, HOST, HeaderMap, HeaderName, HeaderValue, ORIGIN,
-    REFERRER_POLICY, SEC_WEBSOCKET_ACCEPT, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET_VERSION, UPGRADE,
-    X_CONTENT_TYPE_OPTIONS,
+    REFERRER_POLICY, SEC_WEBSOCKET_ACCEPT, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET_PROTOCOL,
+    SEC_WEBSOCKET_VERSION, UPGRADE, X_CONTENT_TYPE_OPTIONS,
 };
 use hyper::http::uri::Authority;
 use hyper::service::service_fn;
@@ -31,28 +33,45 @@ use tokio::time::timeout;
 use tokio_tungstenite::tungstenite::handshake::derive_accept_key;
 
 use super::channels::Channels;
-use super::{page, socket};
+use super::{foxglove, page, socket};
+use sweepd::cli::complain;
 use sweepd::http::{self, PATIENCE, ip_of, is_localhost, response, text};
 
 /// Most connections at a time.
 const CONNECTIONS: usize = 64;
-/// Most pages that are open at a time.
+/// Most pages and viewers that are open at a time.
 const PAGES: usize = 8;
+/// Origins of viewers: apps on the desktop, whose page is a file, Foxglove and Lichtblick on the web.
+const VIEWERS: [&str; 3] = [
+    "file://",
+    "https://app.foxglove.dev",
+    "https://lichtblick-suite.github.io",
+];
 
 /// A server.
 pub(super) struct Server {
     listener: TcpListener,
     address: SocketAddr,
     channels: Channels,
+    /// Other origins of viewers.
+    origins: Vec<String>,
+    told: Once,
     pages: Arc<Semaphore>,
 }
 
 impl Server {
-    pub(super) fn new(listener: TcpListener, address: SocketAddr, channels: Channels) -> Arc<Self> {
+    pub(super) fn new(
+        listener: TcpListener,
+        address: SocketAddr,
+        channels: Channels,
+        origins: Vec<String>,
+    ) -> Arc<Self> {
         Arc::new(Self {
             listener,
             address,
             channels,
+            origins,
+            told: Once::new(),
             pages: Arc::new(Semaphore::new(PAGES)),
         })
     }
@@ -110,8 +129,17 @@ impl Server {
         if let Some(refused) = http::refused_method(&request) {
             return refused;
         }
-        if request.uri().path() == "/socket" {
-            return self.socket(request, host, place);
+        let headers = request.headers();
+        match request.uri().path() {
+            "/socket" if is_origin(headers, host) => return self.socket(request, None, place),
+            "/socket" => {
+                let refused = "only the page itself may open the socket";
+                return text(StatusCode::FORBIDDEN, refused);
+            }
+            "/" if has_word(headers, &UPGRADE, "websocket") => {
+                return self.viewer(request, host, place);
+            }
+            _ => {}
         }
         let Some(file) = page::find(request.uri().path()) else {
             return text(
@@ -134,20 +162,40 @@ impl Server {
             .then(|| host.to_owned())
     }
 
-    /// Answers a page that wants a socket.
-    fn socket(
+    /// Answers a viewer that wants a socket.
+    fn viewer(
         &self,
-        mut request: Request<Incoming>,
+        request: Request<Incoming>,
         host: &str,
         place: &Arc<OwnedSemaphorePermit>,
     ) -> Response<Full<Bytes>> {
         let headers = request.headers();
-        if !is_origin(headers, host) {
-            return text(
-                StatusCode::FORBIDDEN,
-                "only the page itself may open the socket",
+        if let Err(origin) = may_read(headers, host, &self.origins) {
+            let refused = format!(
+                "a web page of {origin} may not read what the sensor sees: --allow-origin {origin} allows it"
             );
+            // A browser does not show the answer. Once: any web page can ask, again and again.
+            self.told.call_once(|| complain("warning", &refused));
+            return text(StatusCode::FORBIDDEN, &refused);
         }
+        let is_asked = |name: &&str| has_word(headers, &SEC_WEBSOCKET_PROTOCOL, name);
+        match foxglove::PROTOCOLS.into_iter().find(is_asked) {
+            Some(protocol) => self.socket(request, Some(protocol), place),
+            None => text(
+                StatusCode::BAD_REQUEST,
+                "expected the sub-protocol foxglove.websocket.v1 or foxglove.sdk.v1",
+            ),
+        }
+    }
+
+    /// Answers a page, or a viewer that is to speak this sub-protocol, with a socket.
+    fn socket(
+        &self,
+        mut request: Request<Incoming>,
+        protocol: Option<&'static str>,
+        place: &Arc<OwnedSemaphorePermit>,
+    ) -> Response<Full<Bytes>> {
+        let headers = request.headers();
         let key = headers.get(SEC_WEBSOCKET_KEY).filter(|key| key.len() == 24);
         let is_handshake = request.method() == Method::GET
             && has_word(headers, &UPGRADE, "websocket")
@@ -161,7 +209,7 @@ impl Server {
         };
         let accept = HeaderValue::try_from(derive_accept_key(key.as_bytes()));
         let (Ok(page), Ok(accept)) = (Arc::clone(&self.pages).try_acquire_owned(), accept) else {
-            let full = format!("{PAGES} pages are open, and no more may be: close one");
+            let full = format!("{PAGES} pages and viewers are open, and no more may be: close one");
             return text(StatusCode::SERVICE_UNAVAILABLE, &full);
         };
         let channels = self.channels.clone();
@@ -169,7 +217,11 @@ impl Server {
         let place = Arc::clone(place);
         tokio::spawn(async move {
             if let Ok(Ok(upgraded)) = timeout(PATIENCE, upgrade).await {
-                socket::converse(TokioIo::new(upgraded), channels).await;
+                let stream = TokioIo::new(upgraded);
+                match protocol {
+                    None => socket::converse(stream, channels).await,
+                    Some(_) => foxglove::converse(stream, channels).await,
+                }
             }
             drop((page, place));
         });
@@ -179,6 +231,10 @@ impl Server {
         headers.insert(UPGRADE, HeaderValue::from_static("websocket"));
         headers.insert(CONNECTION, HeaderValue::from_static("Upgrade"));
         headers.insert(SEC_WEBSOCKET_ACCEPT, accept);
+        if let Some(protocol) = protocol {
+            let protocol = HeaderValue::from_static(protocol);
+            headers.insert(SEC_WEBSOCKET_PROTOCOL, protocol);
+        }
         response
     }
 }
@@ -213,6 +269,34 @@ fn is_origin(headers: &HeaderMap, host: &str) -> bool {
             .map(str::to_owned)
     };
     host_of(origin).is_some_and(|origin| origin.eq_ignore_ascii_case(host))
+}
+
+/// Whether the origin of a request for a viewer's socket may read; else that origin. It may be none: then it
+/// is no browser. It may be a page of this host (`host`, or `localhost`), of [`VIEWERS`], or of `others`.
+fn may_read(headers: &HeaderMap, host: &str, others: &[String]) -> Result<(), String> {
+    let mut origins = headers.get_all(ORIGIN).iter();
+    let origin = match (origins.next(), origins.next()) {
+        (None, _) => return Ok(()),
+        (Some(origin), None) => origin.to_str().unwrap_or("another character set"),
+        _ => return Err("several origins".to_owned()),
+    };
+    if VIEWERS.contains(&origin) || others.iter().any(|other| other == origin) {
+        return Ok(());
+    }
+    let authority = |text: &str| Authority::try_from(text).ok();
+    let named = origin
+        .split_once("://")
+        .and_then(|(_, named)| authority(named));
+    let is_here = named.is_some_and(|named| {
+        is_localhost(&named)
+            || ip_of(&named).is_some_and(|ip| ip.is_loopback())
+            || authority(host).is_some_and(|own| own.host() == named.host())
+    });
+    if is_here {
+        Ok(())
+    } else {
+        Err(origin.to_owned())
+    }
 }
 
 /// Whether a header has this word in its list.

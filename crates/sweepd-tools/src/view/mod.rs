@@ -2,8 +2,9 @@
 //!
 //! ```text
 //! source (a thread)                   channels          server (tasks)
-//! capture, simulation, sensor  ──────>  newest  ──────>  http, socket, tuning  ──────> pages
-//!                              <──────  commands <──────
+//! capture, simulation, sensor  ──────>  newest  ──┬──>  http, socket, tuning  ──────> pages
+//!                              <──────  commands <┼───
+//!                                                 └──>  http, foxglove  ───────────> viewers
 //! ```
 //!
 //! A consumer like any other, in a process of its own: the daemon serves no page, and a browser
@@ -11,6 +12,7 @@
 
 mod channels;
 mod command;
+mod foxglove;
 mod http;
 mod page;
 mod socket;
@@ -65,11 +67,12 @@ impl Source {
 ///
 /// # Errors
 /// [`CliError`]: the source cannot be opened, or the system refuses. `ready` is called when the page
-/// can be opened.
+/// can be opened. Web pages of these `origins` may read.
 pub(crate) fn serve(
     source: Source,
     listener: TcpListener,
     address: SocketAddr,
+    origins: Vec<String>,
     ready: impl FnOnce() -> Result<(), CliError>,
 ) -> Result<(), CliError> {
     let (running, channels) = source::start(source)?;
@@ -81,7 +84,7 @@ pub(crate) fn serve(
     let served = runtime.block_on(async {
         listener.set_nonblocking(true).map_err(system)?;
         let listener = tokio::net::TcpListener::from_std(listener).map_err(system)?;
-        let server = Server::new(listener, address, channels);
+        let server = Server::new(listener, address, channels, origins);
         let ended = end()?;
         ready()?;
         tokio::select! {

@@ -1,4 +1,5 @@
-//! A page that looks: what it is sent, and what it asks for.
+//! A page that looks: what it is sent, and what it asks for; and the socket that it has as other
+//! viewers.
 //!
 //! A page gets the newest sweep, and the next only when it says that it has drawn that: a slow one
 //! misses sweeps, is told how many, and holds up nothing.
@@ -47,16 +48,46 @@ enum Request {
 }
 
 /// The page closed its socket, or does not take what it is sent.
-struct Gone;
+pub(super) struct Gone;
+
+/// A WebSocket with limits.
+pub(super) struct Socket(WebSocketStream<TokioIo<Upgraded>>);
+
+impl Socket {
+    /// One whose handshake is done.
+    pub(super) async fn open(stream: TokioIo<Upgraded>) -> Self {
+        let limits = WebSocketConfig::default()
+            .max_message_size(Some(MESSAGE_BYTES))
+            .max_frame_size(Some(MESSAGE_BYTES));
+        Self(WebSocketStream::from_raw_socket(stream, Role::Server, Some(limits)).await)
+    }
+
+    /// The next message.
+    pub(super) async fn next(&mut self) -> Result<Message, Gone> {
+        match self.0.next().await {
+            Some(Ok(message)) => Ok(message),
+            _ => Err(Gone),
+        }
+    }
+
+    /// Sends a message.
+    pub(super) async fn send(&mut self, message: Message) -> Result<(), Gone> {
+        match timeout(PATIENCE, self.0.send(message)).await {
+            Ok(Ok(())) => Ok(()),
+            _ => Err(Gone),
+        }
+    }
+
+    /// Says good-bye, if anyone listens.
+    pub(super) async fn close(mut self) {
+        let _ = timeout(Duration::from_secs(1), self.0.close(None)).await;
+    }
+}
 
 /// Talks with a page until it is gone.
 pub(super) async fn converse(stream: TokioIo<Upgraded>, channels: Channels) {
-    let limits = WebSocketConfig::default()
-        .max_message_size(Some(MESSAGE_BYTES))
-        .max_frame_size(Some(MESSAGE_BYTES));
-    let stream = WebSocketStream::from_raw_socket(stream, Role::Server, Some(limits)).await;
     let page = Page {
-        stream,
+        socket: Socket::open(stream).await,
         channels,
         is_ready: true,
         last: None,
@@ -69,7 +100,7 @@ pub(super) async fn converse(stream: TokioIo<Upgraded>, channels: Channels) {
 }
 
 struct Page {
-    stream: WebSocketStream<TokioIo<Upgraded>>,
+    socket: Socket,
     channels: Channels,
     /// It has drawn what it was sent.
     is_ready: bool,
@@ -110,9 +141,9 @@ impl Page {
             let is_ready = self.is_ready && !self.is_tuning();
             let done = tokio::select! {
                 biased;
-                message = self.stream.next() => match message {
-                    Some(Ok(message)) => self.hear(message).await,
-                    _ => Err(Gone),
+                message = self.socket.next() => match message {
+                    Ok(message) => self.hear(message).await,
+                    Err(gone) => Err(gone),
                 },
                 tuned = tuned(&mut self.tuning) => self.show_tuned(tuned).await,
                 changed = self.channels.description.changed() => match changed {
@@ -133,8 +164,7 @@ impl Page {
                 break;
             }
         }
-        // Says good-bye, if anyone listens.
-        let _ = timeout(Duration::from_secs(1), self.stream.close(None)).await;
+        self.socket.close().await;
     }
 
     fn is_tuning(&self) -> bool {
@@ -181,16 +211,9 @@ impl Page {
         }
     }
 
-    async fn send(&mut self, message: Message) -> Result<(), Gone> {
-        match timeout(PATIENCE, self.stream.send(message)).await {
-            Ok(Ok(())) => Ok(()),
-            _ => Err(Gone),
-        }
-    }
-
     async fn say(&mut self, kind: &str, mut message: Value) -> Result<(), Gone> {
         message["type"] = kind.into();
-        self.send(Message::text(message.to_string())).await
+        self.socket.send(Message::text(message.to_string())).await
     }
 
     async fn refuse(&mut self, why: &str) -> Result<(), Gone> {
@@ -247,7 +270,7 @@ impl Page {
             "tuned": is_tuned,
         });
         self.say("sweep", message).await?;
-        self.send(Message::Binary(bytes.clone())).await
+        self.socket.send(Message::Binary(bytes.clone())).await
     }
 
     async fn tune(&mut self, request: &TuningRequest) -> Result<(), Gone> {

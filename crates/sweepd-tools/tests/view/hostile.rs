@@ -10,9 +10,7 @@ use tokio_tungstenite::tungstenite::Message;
 
 use crate::captures::fixture;
 use crate::common::root;
-#[cfg(feature = "slow-tests")]
-use crate::page::Page;
-use crate::page::View;
+use crate::page::{Page, View};
 
 fn view() -> View {
     View::start(&[&fixture("street_vlp16.pcap.gz")])
@@ -127,6 +125,165 @@ fn only_the_page_itself_gets_a_socket() {
         .try_page(&local, Some(&format!("http://{local}")))
         .unwrap();
     page.sweep();
+}
+
+/// Nor gets another web page what a viewer gets, unless it is allowed.
+#[test]
+fn only_programs_and_known_pages_may_read_as_viewers() {
+    let args = [
+        &fixture("street_vlp16.pcap.gz")[..],
+        "--allow-origin",
+        "https://robots.example",
+    ];
+    let view = View::start(&args);
+    let host = &view.host;
+    let sdk = Some("foxglove.sdk.v1, foxglove.websocket.v1");
+    let status = |host: &str, origin| view.open("/", host, origin, sdk).map(|_| ());
+    for origin in [
+        None,
+        Some("file://"),
+        Some("https://app.foxglove.dev"),
+        Some("https://lichtblick-suite.github.io"),
+        Some("https://robots.example"),
+        Some("http://localhost:8080"),
+        Some("http://127.0.0.1:1"),
+    ] {
+        assert_eq!(status(host, origin), Ok(()), "{origin:?}");
+    }
+    for origin in [
+        "null",
+        "http://evil.example",
+        "http://app.foxglove.dev",
+        "https://app.foxglove.dev.evil.example",
+        "https://robots.example:8443",
+        "http://localhost.evil.example",
+        "http://10.0.0.7:9178",
+        "http://localhost@evil.example",
+        "data:text/html,localhost",
+    ] {
+        assert_eq!(status(host, Some(origin)), Err(403), "{origin}");
+    }
+    // A name that was redirected to this host.
+    assert_eq!(status("evil.example", None), Err(403));
+    assert_eq!(
+        status("evil.example", Some("http://evil.example")),
+        Err(403)
+    );
+    let port = host.rsplit(':').next().unwrap();
+    assert_eq!(status(&format!("localhost:{port}"), None), Ok(()));
+    for protocol in [None, Some("foxglove.websocket.v2"), Some("chat")] {
+        let refused = view.open("/", host, None, protocol).map(|_| ());
+        assert_eq!(refused, Err(400), "{protocol:?}");
+    }
+}
+
+/// Garbage, floods and half of a handshake: each is refused or ends its own socket, and nothing of
+/// it is kept.
+#[test]
+fn a_viewer_that_means_no_good_costs_nothing() {
+    let view = View::start(&["--simulate", "vlp16"]);
+    let resident_kb = || {
+        let path = format!("/proc/{}/status", view.process.child.id());
+        let status = std::fs::read_to_string(path).unwrap();
+        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+        let number = line.unwrap().trim().trim_end_matches(" kB");
+        number.parse::<u64>().unwrap()
+    };
+    let refused = |viewer: &mut Page| {
+        let status = viewer.until(|message| message["op"] == "status");
+        status["message"].as_str().unwrap().to_owned()
+    };
+    let subscriptions: Vec<_> = (0..400)
+        .map(|id| json!({ "id": id, "channelId": 3 }))
+        .collect();
+    let mut last_kb = Vec::new();
+    for _ in 0..6 {
+        let mut viewer = view.viewer();
+        viewer.until(|message| message["op"] == "advertise" && message["channels"][0]["id"] == 3);
+        for garbage in [
+            "",
+            "[]",
+            "{}",
+            "{\"op\":1}",
+            "{\"op\":\"subscribe\"}",
+            "{\"op\":\"subscribe\",\"subscriptions\":[{\"id\":-1,\"channelId\":3}]}",
+            "{\"op\":\"subscribe\",\"subscriptions\":[{\"id\":1e99,\"channelId\":3}]}",
+            "{\"op\":\"unsubscribe\",\"subscriptionIds\":\"all\"}",
+            &"[".repeat(10_000),
+        ] {
+            viewer.send(Message::text(garbage));
+            assert!(
+                refused(&mut viewer).starts_with("not understood: "),
+                "{garbage}"
+            );
+        }
+        for bytes in [vec![], vec![255; 16], vec![1; 16_000]] {
+            viewer.send(Message::binary(bytes));
+            assert!(refused(&mut viewer).starts_with("a viewer can change nothing"));
+        }
+        // One of a thousand is taken, and its messages come.
+        for _ in 0..3 {
+            viewer.ask(json!({ "op": "subscribe", "subscriptions": subscriptions }));
+        }
+        for _ in 0..1199 {
+            let why = refused(&mut viewer);
+            assert!(why.contains("already"), "{why}");
+        }
+        for _ in 0..1000 {
+            viewer
+                .ask(json!({ "op": "subscribe", "subscriptions": [{ "id": 9, "channelId": 4 }] }));
+            viewer.ask(json!({ "op": "unsubscribe", "subscriptionIds": [9, 10, 11] }));
+            viewer
+                .ask(json!({ "op": "subscribe", "subscriptions": [{ "id": 9, "channelId": 77 }] }));
+            assert_eq!(refused(&mut viewer), "there is no channel 77");
+        }
+        viewer.send(Message::binary(vec![1; 100_000]));
+        assert!(viewer.is_closed());
+        last_kb.push(resident_kb());
+    }
+    let grown_kb = last_kb[5].saturating_sub(last_kb[2]);
+    assert!(grown_kb < 4096, "{last_kb:?}");
+    // Half of a handshake, and a handshake without its key.
+    let host = &view.host;
+    let head =
+        format!("GET / HTTP/1.1\r\nHost: {host}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n");
+    let mut half = TcpStream::connect(host).unwrap();
+    half.write_all(head.as_bytes()).unwrap();
+    let keyless = format!(
+        "{head}Sec-WebSocket-Protocol: foxglove.sdk.v1\r\nSec-WebSocket-Version: 13\r\n\r\n"
+    );
+    assert!(view.answer(keyless.as_bytes()).starts_with("HTTP/1.1 400 "));
+    view.page().sweep();
+    view.viewer().until(|message| message["op"] == "advertise");
+}
+
+/// One that takes nothing of what it is sent holds up no page, and loses its place.
+#[cfg(feature = "slow-tests")]
+#[test]
+fn a_viewer_that_takes_nothing_holds_up_nothing() {
+    let view = View::start(&["--simulate", "hdl32e"]);
+    let own = Some("foxglove.websocket.v1");
+    let mut stuck: Vec<_> = (0..7).map(|_| view.viewer()).collect();
+    for viewer in &mut stuck {
+        viewer.until(|message| message["op"] == "advertise" && message["channels"][0]["id"] == 3);
+        viewer.ask(json!({ "op": "subscribe", "subscriptions": [{ "id": 0, "channelId": 3 }] }));
+    }
+    let mut page = view.page();
+    let refused = || view.open("/", &view.host, None, own).map(|_| ());
+    assert_eq!(refused(), Err(503));
+    let begun = Instant::now();
+    let mut seen = 0;
+    while refused().is_err() {
+        assert!(begun.elapsed() < Duration::from_secs(60));
+        page.sweep();
+        page.drawn();
+        seen += 1;
+    }
+    let seconds = begun.elapsed().as_secs_f64();
+    assert!(
+        seconds > 8.0 && f64::from(seen) > 5.0 * seconds,
+        "{seen} in {seconds} s"
+    );
 }
 
 #[test]

@@ -15,7 +15,7 @@ use crate::captures::{fixture, sweeps};
 use crate::page::{Page, View};
 
 /// A daemon, as far as consumers see it.
-struct Publisher {
+pub struct Publisher {
     name: String,
     loans: Loans,
     run_ns: i64,
@@ -23,7 +23,7 @@ struct Publisher {
 }
 
 impl Publisher {
-    fn new(domain: &Domain, name: &str) -> Self {
+    pub fn new(domain: &Domain, name: &str) -> Self {
         let settings = ServiceSettings {
             name: name.to_owned(),
             topic: Topic::Sweeps,
@@ -39,7 +39,7 @@ impl Publisher {
         }
     }
 
-    fn publish(&mut self, sweep: &impl AsRef<[u8]>) {
+    pub fn publish(&mut self, sweep: &impl AsRef<[u8]>) {
         let bytes = sweep.as_ref();
         let mut slot = self.loans.take(bytes.len());
         slot.as_mut()[..bytes.len()].copy_from_slice(bytes);
@@ -69,7 +69,7 @@ fn publish_until(
     panic!("it does not say {words}");
 }
 
-fn view(own: &TempDomain, args: &[&str]) -> View {
+pub fn view(own: &TempDomain, args: &[&str]) -> View {
     View::start_with(args, |command| {
         command.env("SWEEPD_ROOT", own.root());
     })

@@ -6,6 +6,7 @@ mod browser;
 mod captures;
 #[path = "../../../../tests/common/mod.rs"]
 mod common;
+mod foxglove;
 mod hostile;
 mod live;
 mod page;

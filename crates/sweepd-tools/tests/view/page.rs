@@ -21,7 +21,6 @@ use crate::common::root;
 
 /// The server.
 pub struct View {
-    #[cfg_attr(not(feature = "slow-tests"), allow(dead_code))]
     pub process: Process,
     /// `127.0.0.1:PORT`
     pub host: String,
@@ -78,16 +77,36 @@ impl View {
 
     /// The same as this host, and asked for by that origin: the status where it is refused.
     pub fn try_page(&self, host: &str, origin: Option<&str>) -> Result<Page, u16> {
+        self.open("/socket", host, origin, None)
+    }
+
+    /// A viewer that is no browser.
+    pub fn viewer(&self) -> Page {
+        let protocol = Some("foxglove.websocket.v1");
+        self.open("/", &self.host, None, protocol).unwrap()
+    }
+
+    /// Opens a socket at a path: the status where it is refused.
+    pub fn open(
+        &self,
+        path: &str,
+        host: &str,
+        origin: Option<&str>,
+        protocol: Option<&str>,
+    ) -> Result<Page, u16> {
         let runtime = Builder::new_current_thread().enable_all().build().unwrap();
         let opened = runtime.block_on(async {
             let stream = tokio::net::TcpStream::connect(&self.host).await.unwrap();
-            let mut request = format!("ws://{}/socket", self.host)
+            let mut request = format!("ws://{}{path}", self.host)
                 .into_client_request()
                 .unwrap();
             let headers = request.headers_mut();
             headers.insert("Host", HeaderValue::from_str(host).unwrap());
-            if let Some(origin) = origin {
-                headers.insert("Origin", HeaderValue::from_str(origin).unwrap());
+            let more = [("Origin", origin), ("Sec-WebSocket-Protocol", protocol)];
+            for (name, value) in more {
+                if let Some(value) = value {
+                    headers.insert(name, HeaderValue::from_str(value).unwrap());
+                }
             }
             client_async(request, stream).await
         });
@@ -158,7 +177,7 @@ impl Page {
     }
 
     /// The next message; `None` within this time, or where the socket was closed.
-    fn within(&mut self, limit: Duration) -> Option<Message> {
+    pub fn within(&mut self, limit: Duration) -> Option<Message> {
         let Self { stream, runtime } = self;
         let next = runtime.block_on(async { timeout(limit, stream.next()).await });
         next.ok()?.and_then(Result::ok)
