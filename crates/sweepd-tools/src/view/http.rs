@@ -42,6 +42,7 @@ const CONNECTIONS: usize = 64;
 /// Most pages and viewers that are open at a time.
 const PAGES: usize = 8;
 /// Origins of viewers: apps on the desktop, whose page is a file, Foxglove and Lichtblick on the web.
+/// In a browser a file is of no origin (`null`), as a hostile page can make one of its frames.
 const VIEWERS: [&str; 3] = [
     "file://",
     "https://app.foxglove.dev",
