@@ -2,10 +2,11 @@
 
 use serde_json::{Value, json};
 use sweepd::buffers::{Buffers, HeapBuffers};
+use sweepd::messages::cdr::Writer;
 use sweepd::messages::diagnostics::{self, Level, Status};
 use sweepd::messages::graph::{self, GidForm, Node};
 use sweepd::messages::message_type::{
-    DIAGNOSTIC_ARRAY, IMAGE, MessageType, ODOMETRY, PARTICIPANT_ENTITIES_INFO, TF_MESSAGE,
+    CLOCK, DIAGNOSTIC_ARRAY, IMAGE, MessageType, ODOMETRY, PARTICIPANT_ENTITIES_INFO, TF_MESSAGE,
 };
 use sweepd::messages::odometry::Located;
 use sweepd::messages::transforms::{self, Transform};
@@ -101,6 +102,11 @@ fn ros_reads_every_type() {
     }]});
     add("transforms", &TF_MESSAGE, message, values);
 
+    let mut message = Vec::new();
+    Writer::new(&mut message).time(3_000_000_004);
+    let values = json!({"clock": {"sec": 3, "nanosec": 4}});
+    add("clock", &CLOCK, message, values);
+
     let gid = |byte: u8| json!({"data": vec![byte; 16]});
     let node = Node {
         namespace: "/".to_owned(),
@@ -117,7 +123,7 @@ fn ros_reads_every_type() {
 
     let expected = Value::Object(all);
     std::fs::write(folder.join("expected.json"), expected.to_string()).unwrap();
-    assert_eq!(python("messages.py", &[folder.as_os_str()]).trim(), "6");
+    assert_eq!(python("messages.py", &[folder.as_os_str()]).trim(), "7");
 }
 
 /// What ROS writes is read, of either byte order; what is cut off is refused, and nothing else is read

@@ -6,6 +6,7 @@
 //! they fail. Each test has DDS domains of its own, from 90 on, and the peers of two Fast DDS
 //! versions never share one.
 
+mod clock;
 mod clouds;
 #[path = "../common/mod.rs"]
 mod common;

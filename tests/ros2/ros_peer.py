@@ -1,7 +1,7 @@
 """A node of ROS 2 that tells what it hears, and publishes: rclpy, its own deserialiser, and the graph as it sees it.
 
 Its argument is a JSON object: {"clouds": [topic, ...], "images": [topic, ...], "scans": [topic, ...],
-"diagnostics": bool, "data": bool, "qualities": ["best_effort", "reliable"], "nodes": bool,
+"diagnostics": bool, "data": bool, "sim_time": bool, "qualities": ["best_effort", "reliable"], "nodes": bool,
 "publish": [[topic, quality, bytes], ...]}: those clouds 20 times a second, numbered by the seconds of their stamps from 1 on, or one on a
 topic that is "transient_local". On standard output each message is a line of JSON; with "bytes"
 in it, that many bytes of the message's data follow.
@@ -14,7 +14,10 @@ import time
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import JumpThreshold
+from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image, LaserScan, PointCloud2
 
@@ -54,7 +57,8 @@ def head(topic, quality, message):
 
 class Peer(Node):
     def __init__(self, wanted):
-        super().__init__("peer")
+        sim_time = wanted.get("sim_time", False)
+        super().__init__("peer", parameter_overrides=[Parameter("use_sim_time", value=sim_time)])
         self.wanted = wanted
         self.graph = None
         for quality in wanted.get("qualities", QUALITIES):
@@ -64,6 +68,11 @@ class Peer(Node):
                 self.hear(Image, topic, quality, self.image)
         for topic in wanted.get("scans", []):
             self.hear(LaserScan, topic, "best_effort", self.scan)
+        if sim_time:
+            back = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
+            self.jumps = self.get_clock().create_jump_callback(
+                back, post_callback=lambda jump: say({"jump_ns": jump.delta.nanoseconds}))
+            self.create_timer(0.1, lambda: say({"tick_ns": self.get_clock().now().nanoseconds}))
         if wanted.get("diagnostics"):
             self.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics, 10)
 
@@ -90,6 +99,7 @@ class Peer(Node):
         said = head(topic, quality, cloud)
         said["fields"] = [[field.name, field.offset, field.datatype, field.count] for field in cloud.fields]
         said["point_step"], said["row_step"] = cloud.point_step, cloud.row_step
+        said["clock_ns"] = self.get_clock().now().nanoseconds
         said["is_dense"], said["length"] = cloud.is_dense, len(cloud.data)
         say(said, memoryview(cloud.data).cast("B") if self.wanted.get("data") else b"")
 

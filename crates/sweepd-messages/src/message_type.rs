@@ -71,6 +71,13 @@ pub static ODOMETRY: MessageType = MessageType {
     definition: include_str!("../definitions/Odometry.txt"),
 };
 
+/// The time, where it is not the host's: a [`Writer::time`](crate::cdr::Writer::time) is all of it.
+pub static CLOCK: MessageType = MessageType {
+    name: "rosgraph_msgs/msg/Clock",
+    hash: "RIHS01_692f7a66e93a3c83e71765d033b60349ba68023a8c689a79e48078bcb5c58564",
+    definition: include_str!("../definitions/Clock.txt"),
+};
+
 /// The nodes of a participant: [`crate::graph`]. Hash and definition are those since Iron.
 pub static PARTICIPANT_ENTITIES_INFO: MessageType = MessageType {
     name: "rmw_dds_common/msg/ParticipantEntitiesInfo",
@@ -79,7 +86,7 @@ pub static PARTICIPANT_ENTITIES_INFO: MessageType = MessageType {
 };
 
 /// All of them.
-pub static ALL: [&MessageType; 8] = [
+pub static ALL: [&MessageType; 9] = [
     &POINT_CLOUD,
     &IMAGE,
     &LASER_SCAN,
@@ -87,6 +94,7 @@ pub static ALL: [&MessageType; 8] = [
     &DIAGNOSTIC_ARRAY,
     &TF_MESSAGE,
     &ODOMETRY,
+    &CLOCK,
     &PARTICIPANT_ENTITIES_INFO,
 ];
 

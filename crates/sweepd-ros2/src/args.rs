@@ -21,6 +21,7 @@ Topics of the sensor `roof`, each computed only while it has a subscriber:
   ~/roof/points_deskewed  as points, where the parameter `deskew` is given
   /diagnostics        diagnostic_msgs/DiagnosticArray, each second
   /tf_static          tf2_msgs/TFMessage, where the daemon's configuration has a mount
+  /clock              rosgraph_msgs/Clock, the time of a replay, with the parameter `clock`
 
 ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY and ROS_STATIC_PEERS count as in ROS. \
 What a launch file adds is taken: --ros-args with -r __node:=NAME, -r __ns:=/NAMESPACE, \
@@ -36,7 +37,7 @@ pub struct Args {
     #[arg(value_name = "NAME", value_parser = sensor_name)]
     pub sensors: Vec<String>,
     /// Parameters: YAML in the form of ROS, with `sensors`, `root`, `health`, `base_frame`, `deskew`,
-    /// `odometry`, `frame_id`, `stamp`, `organized`, `layout`, `fields`, `only_complete`,
+    /// `odometry`, `clock`, `frame_id`, `stamp`, `organized`, `layout`, `fields`, `only_complete`,
     /// `min_columns`, `scan_heights`, `scan_ring`
     #[arg(long, value_name = "FILE", visible_alias = "params-file")]
     pub parameters: Option<PathBuf>,

@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 mod bridge;
+mod clock;
 mod health;
 mod names;
 mod odometry;
@@ -27,7 +28,7 @@ use clap::Parser;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::flag;
 use sweepd_client::client::{Client, Domain};
-use sweepd_messages::message_type::{DIAGNOSTIC_ARRAY, TF_MESSAGE};
+use sweepd_messages::message_type::{self, DIAGNOSTIC_ARRAY, TF_MESSAGE};
 use sweepd_messages::rcl::encode_log;
 use sweepd_ros2::args::Args;
 use sweepd_ros2::{Durability, Environment, Node, NodeError, Publisher, log};
@@ -51,6 +52,7 @@ const DIAGNOSE_EVERY: Duration = Duration::from_secs(1);
 /// The topics beside those of the sensors.
 const DIAGNOSTICS: &str = "/diagnostics";
 const TF_STATIC: &str = "/tf_static";
+const CLOCK: &str = "/clock";
 
 /// Exit code where only other parameters help, so that a supervisor need not retry (sysexits.h).
 const EX_CONFIG: u8 = 78;
@@ -119,6 +121,13 @@ fn run(args: &Args, ros: &RosArgs) -> Result<(), Failure> {
     };
     let topic = name.remapped_topic(DIAGNOSTICS, &ros.remaps);
     let diagnostics = node.publisher(&topic, &DIAGNOSTIC_ARRAY, Durability::Volatile)?;
+    let clock = match parameters.clock {
+        false => None,
+        true => {
+            let topic = name.remapped_topic(CLOCK, &ros.remaps);
+            Some(node.publisher(&topic, &message_type::CLOCK, Durability::Volatile)?)
+        }
+    };
     std::thread::scope(|scope| {
         let sensors = Sensors {
             scope,
@@ -129,6 +138,7 @@ fn run(args: &Args, ros: &RosArgs) -> Result<(), Failure> {
             domain: &domain,
             transforms: transforms.as_ref(),
             odometry,
+            clock,
             over: &over,
             bridges: BTreeMap::new(),
             refused: BTreeSet::new(),
@@ -217,6 +227,8 @@ struct Sensors<'scope, 'env> {
     domain: &'env Domain,
     transforms: Option<&'env Transforms>,
     odometry: Option<Arc<Odometry>>,
+    /// Publisher of the time of the first sensor that has sweeps, until there is one.
+    clock: Option<Publisher>,
     over: &'env AtomicBool,
     /// By the token in their topics.
     bridges: BTreeMap<String, Arc<Bridge>>,
@@ -245,6 +257,7 @@ impl Sensors<'_, '_> {
                 self.remaps_are_told = true;
                 self.tell_remaps();
             }
+            self.start_clock()?;
             if diagnosed.elapsed() >= DIAGNOSE_EVERY {
                 diagnosed += DIAGNOSE_EVERY;
                 diagnostics.publish(self.domain, self.bridges.values().map(|bridge| &**bridge));
@@ -262,6 +275,23 @@ impl Sensors<'_, '_> {
         Topic::published(self.odometry.is_some())
     }
 
+    /// Starts `/clock` with the first sweep, if it is wanted: of several sensors, one has the time.
+    fn start_clock(&mut self) -> Result<(), Failure> {
+        let has_sweeps = |bridge: &&Arc<Bridge>| bridge.seen.tally().newest.is_some();
+        let Some(bridge) = self.bridges.values().find(has_sweeps) else {
+            return Ok(());
+        };
+        let Some(publisher) = self.clock.take() else {
+            return Ok(());
+        };
+        let (bridge, over) = (Arc::clone(bridge), self.over);
+        std::thread::Builder::new()
+            .name("clock".to_owned())
+            .spawn_scoped(self.scope, move || clock::run(&publisher, &bridge, over))
+            .map_err(|error| Failure::cannot("start a thread", &error))?;
+        Ok(())
+    }
+
     /// Warns of the rules that rename nothing, once the first sensors are there.
     fn tell_remaps(&self) {
         let tokens = self.bridges.keys();
@@ -269,7 +299,7 @@ impl Sensors<'_, '_> {
         let mut topics: Vec<String> = tokens
             .flat_map(|token| of_sensor.iter().map(|topic| topic.of(token)))
             .collect();
-        topics.extend([TF_STATIC.to_owned(), DIAGNOSTICS.to_owned()]);
+        topics.extend([TF_STATIC, DIAGNOSTICS, CLOCK].map(str::to_owned));
         let source = self.parameters.deskew;
         topics.extend(source.map(|source| source.topic(&self.parameters.odometry).to_owned()));
         for remap in self.remaps {

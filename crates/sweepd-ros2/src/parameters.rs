@@ -34,13 +34,14 @@ const DAEMON_HTTP: &str = "127.0.0.1:9177";
 /// The key above the parameters of a node.
 const SECTION: &str = "ros__parameters";
 /// Parameters of the node.
-const OF_NODE: [&str; 6] = [
+const OF_NODE: [&str; 7] = [
     "sensors",
     "root",
     "health",
     "base_frame",
     "deskew",
     "odometry",
+    "clock",
 ];
 /// Parameters of a sensor; given for the node, they hold for all sensors.
 const OF_SENSOR: [&str; 9] = [
@@ -73,6 +74,8 @@ pub struct Parameters {
     pub deskew: Option<OdometrySource>,
     /// Topic of [`OdometrySource::Odometry`].
     pub odometry: String,
+    /// Whether the sweeps are a replay's, whose time `/clock` is to tell.
+    pub clock: bool,
     /// Sentences about what was given and means nothing here.
     pub ignored: Vec<String>,
     /// Wrong values by the name before them: of a sensor, or of something of another node.
@@ -150,6 +153,7 @@ impl Default for Parameters {
             base_frame: "base_link".to_owned(),
             deskew: None,
             odometry: "odom".to_owned(),
+            clock: false,
             ignored: Vec::new(),
             wrong: Vec::new(),
             of_all: Given::default(),
@@ -270,6 +274,7 @@ impl Parameters {
                 .to_owned(),
             ),
             "odometry" => Value::Text(self.odometry.clone()),
+            "clock" => Value::Bool(self.clock),
             _ => match name.rsplit_once('.') {
                 Some((sensor, "frame_id")) => Value::Text(self.of(sensor).frame_id),
                 Some((sensor, own)) => self.given(sensor).value(own),
@@ -400,6 +405,7 @@ impl Parameters {
             "base_frame" => self.base_frame = text(value)?,
             "deskew" => self.deskew = deskew(value)?,
             "odometry" => self.odometry = text(value)?,
+            "clock" => self.clock = switch(value)?,
             // Launch files set it for all nodes. A live sensor has no simulated clock.
             "use_sim_time" => drop(switch(value)?),
             _ => match name.rsplit_once('.') {
@@ -554,6 +560,7 @@ pub fn description(name: &str) -> &'static str {
         "base_frame" => "parent in /tf_static; empty: no transforms",
         "deskew" => "what tells where the robot is, for deskewed topics: odom, tf; empty: nothing",
         "odometry" => "topic that deskew: odom reads",
+        "clock" => "/clock tells the time of the sweeps, as of a replay",
         "frame_id" => "frame of the sensor's messages",
         "stamp" => "time of a message in its sweep: first, middle, last",
         "organized" => "rows and columns, NaN where there is no return",

@@ -45,6 +45,7 @@ fn taken(row: &str) -> Result<Value, String> {
         "root": parameters.root.unwrap_or_default(),
         "health": parameters.health.map_or_else(String::new, |address| address.to_string()),
         "base_frame": parameters.base_frame,
+        "clock": parameters.clock,
         "frame_id": roof.frame_id,
         "stamp": if roof.stamp == Stamp::Last { "last" } else { "first" },
         "organized": roof.organized,

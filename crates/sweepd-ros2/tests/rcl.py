@@ -13,7 +13,7 @@ from rosgraph_msgs.msg import Clock
 from type_description_interfaces.srv import GetTypeDescription
 
 TOPICS = ["~/roof/points", "/tf_static", "/diagnostics"]
-OF_NODE = {"sensors": [""], "root": "", "health": "127.0.0.1:9177", "base_frame": "base_link"}
+OF_NODE = {"sensors": [""], "root": "", "health": "127.0.0.1:9177", "base_frame": "base_link", "clock": False}
 OF_SENSOR = {"frame_id": "roof", "stamp": "first", "organized": False, "layout": "xyzirt"}
 
 

@@ -58,7 +58,7 @@ pub struct Args {
     public: bool,
     /// Let web pages of this origin read by the protocol of Foxglove, beside those of this host, Foxglove
     /// and Lichtblick, such as https://lichtblick.example; give it again for another
-    #[arg(long, value_name = "ORIGIN")]
+    #[arg(long, value_name = "ORIGIN", value_parser = origin)]
     allow_origin: Vec<String>,
     /// Do not open the browser
     #[arg(long)]
@@ -205,6 +205,14 @@ impl Args {
     }
 }
 
+/// An origin as a browser writes it.
+fn origin(text: &str) -> Result<String, String> {
+    match text.split_once("://") {
+        Some((_, host)) if !host.is_empty() && !host.contains('/') => Ok(text.to_ascii_lowercase()),
+        _ => Err("expected scheme and host alone, such as https://lichtblick.example".to_owned()),
+    }
+}
+
 /// Opens a page in the browser, if there are a display and a program that does it.
 fn open(url: &str) {
     let has_display = ["DISPLAY", "WAYLAND_DISPLAY"]
@@ -222,5 +230,27 @@ fn open(url: &str) {
     // The address is printed: without a browser, people open it themselves.
     if let Ok(mut opener) = opener {
         std::thread::spawn(move || opener.wait());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::origin;
+
+    #[test]
+    fn an_origin_is_scheme_and_host() {
+        assert_eq!(
+            origin("https://Robots.example:8443").as_deref(),
+            Ok("https://robots.example:8443")
+        );
+        for text in [
+            "",
+            "null",
+            "robots.example",
+            "https://",
+            "https://robots.example/",
+        ] {
+            assert!(origin(text).is_err(), "{text}");
+        }
     }
 }
