@@ -1054,7 +1054,7 @@ mod tests {
             (
                 "/**:\n  ros__parameters: {stmap: last}",
                 "2",
-                "unknown parameter `stmap`: known are sensors, root, health, base_frame, deskew, odometry, frame_id, stamp",
+                "unknown parameter `stmap`: known are sensors, root, health, base_frame, deskew, odometry, clock, frame_id, stamp",
             ),
             (
                 "/**:\n  ros__parameters:\n    roof:\n      frame_id: a\n      rate: 3",

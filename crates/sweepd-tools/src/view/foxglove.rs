@@ -20,7 +20,7 @@ use sweepd_core::sweep::eye::{eye_faults, eye_sentence};
 use sweepd_messages::diagnostics::{self, Level, Status};
 use sweepd_messages::message_type::DIAGNOSTIC_ARRAY;
 use sweepd_messages::transforms::{self, Transform};
-use sweepd_messages::{MessageHeader, MessageType, Stamp, markers};
+use sweepd_messages::{Cloud, MessageHeader, MessageType, Stamp, markers};
 use tokio::time::{MissedTickBehavior, interval};
 use tokio_tungstenite::tungstenite::Message;
 
@@ -218,36 +218,25 @@ impl Viewer {
 
     async fn subscribe(&mut self, wanted: &Subscription) -> Result<(), Gone> {
         let Subscription { id, channel_id } = *wanted;
-        if self
-            .channels
-            .iter()
-            .any(|channel| channel.subscription == Some(id))
-        {
-            return self
-                .refuse(&format!("there is a subscription {id} already"))
-                .await;
-        }
-        let mut channels = self.channels.iter_mut();
-        let topic = match channels.find(|channel| channel.id == channel_id) {
-            Some(channel) if channel.subscription.is_none() => {
+        let is_taken = |one: &Channel| one.subscription == Some(id);
+        let is_wanted = |one: &&mut Channel| one.id == channel_id;
+        let why = if self.channels.iter().any(is_taken) {
+            format!("there is a subscription {id} already")
+        } else if let Some(channel) = self.channels.iter_mut().find(is_wanted) {
+            if channel.subscription.is_none() {
                 channel.subscription = Some(id);
-                channel.topic
+                let topic = channel.topic;
+                if topic == Topic::Transforms {
+                    self.mount = None;
+                }
+                // A capture may be paused, and then nothing newer comes.
+                return self.send(topic).await;
             }
-            Some(_) => {
-                let why = format!("channel {channel_id} has a subscription already");
-                return self.refuse(&why).await;
-            }
-            None => {
-                return self
-                    .refuse(&format!("there is no channel {channel_id}"))
-                    .await;
-            }
+            format!("channel {channel_id} has a subscription already")
+        } else {
+            format!("there is no channel {channel_id}")
         };
-        if topic == Topic::Transforms {
-            self.mount = None;
-        }
-        // A capture may be paused, and then nothing newer comes.
-        self.send(topic).await
+        self.refuse(&why).await
     }
 
     /// Sends what there is of the newest sweep.
@@ -289,19 +278,13 @@ impl Viewer {
 
     /// Sends the newest of a topic, if it has a subscription.
     async fn send(&mut self, topic: Topic) -> Result<(), Gone> {
-        let mut channels = self
-            .channels
-            .iter()
-            .filter(|channel| channel.topic == topic);
-        let Some(subscription) = channels.find_map(|channel| channel.subscription) else {
+        let mut channels = self.channels.iter();
+        let channel = channels.find(|channel| channel.topic == topic);
+        let Some(subscription) = channel.and_then(|channel| channel.subscription) else {
             return Ok(());
         };
         let mut message = vec![0; HEAD];
-        let time_ns = match topic {
-            Topic::Diagnostics => Some(self.diagnose(&mut message)),
-            _ => self.encode(topic, &mut message),
-        };
-        let Some(time_ns) = time_ns else {
+        let Some(time_ns) = self.encode(topic, &mut message) else {
             return Ok(());
         };
         message[0] = MESSAGE_DATA;
@@ -310,8 +293,11 @@ impl Viewer {
         self.socket.send(Message::binary(message)).await
     }
 
-    /// Appends a message of the newest sweep; gives its time. `None` if there is nothing to say.
+    /// Appends a message; gives its time. `None` if there is nothing to say.
     fn encode(&mut self, topic: Topic, message: &mut Vec<u8>) -> Option<u64> {
+        if topic == Topic::Diagnostics {
+            return Some(self.diagnose(message));
+        }
         let sweep = SweepRef::open(&self.frame.as_ref()?.bytes).ok()?;
         let names = self.names.as_ref()?;
         let header = MessageHeader {
@@ -319,11 +305,9 @@ impl Viewer {
             stamp: Stamp::First,
         };
         match topic {
-            Topic::Points => MessageForm::default()
-                .cloud
-                .encode(&sweep, &header, message),
+            Topic::Points => Cloud::default().encode(&sweep, &header, message),
             Topic::Markers => markers::encode(&sweep, &header, message),
-            Topic::Transforms | Topic::Diagnostics => {
+            _ => {
                 let mount = names.mount(sweep.header)?;
                 if self.mount.as_ref() == Some(&mount) {
                     return None;
