@@ -89,10 +89,10 @@ fn run(args: &Args, ros: &RosArgs) -> Result<(), Failure> {
     let environment = Environment::from_env().map_err(Failure::config)?;
     let over = end_flag().map_err(|error| Failure::cannot("handle signals", &error))?;
     let node = Node::new(&environment, &name.namespace, &name.name)?;
-    let rosout = Rosout {
+    let rosout = (!ros.without_rosout).then(|| Rosout {
         publisher: node.rosout(),
         logger: name.full().trim_start_matches('/').replace('/', "."),
-    };
+    });
     let services = Services::new(&node, &parameters)?;
     let domain = Domain::at_or_default(parameters.root.as_deref());
     log::info(format_args!(
@@ -144,12 +144,14 @@ fn run(args: &Args, ros: &RosArgs) -> Result<(), Failure> {
             refused: BTreeSet::new(),
             remaps_are_told: false,
             services,
-            rosout: &rosout,
+            rosout: rosout.as_ref(),
         };
         let watched = sensors.watch(Diagnostics::new(diagnostics, parameters.health));
         // After an error too, or the threads would go on.
         over.store(true, Ordering::Relaxed);
-        rosout.publish();
+        if let Some(rosout) = &rosout {
+            rosout.publish();
+        }
         watched
     })
 }
@@ -236,7 +238,7 @@ struct Sensors<'scope, 'env> {
     refused: BTreeSet<String>,
     remaps_are_told: bool,
     services: Services,
-    rosout: &'env Rosout,
+    rosout: Option<&'env Rosout>,
 }
 
 impl Sensors<'_, '_> {
@@ -264,7 +266,9 @@ impl Sensors<'_, '_> {
             }
             let bridges: Vec<&Bridge> = self.bridges.values().map(|bridge| &**bridge).collect();
             self.services.serve(&bridges);
-            self.rosout.publish();
+            if let Some(rosout) = self.rosout {
+                rosout.publish();
+            }
             std::thread::sleep(LOOK_EVERY);
         }
         Ok(())

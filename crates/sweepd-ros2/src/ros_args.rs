@@ -6,13 +6,11 @@ use std::path::PathBuf;
 use crate::names::Remap;
 
 /// Arguments of ROS that a node of one process has no use for, and how many words follow each.
-const WITHOUT_USE: [(&str, usize); 10] = [
+const WITHOUT_USE: [(&str, usize); 8] = [
     ("--log-level", 1),
     ("--log-config-file", 1),
     ("--enclave", 1),
     ("-e", 1),
-    ("--enable-rosout-logs", 0),
-    ("--disable-rosout-logs", 0),
     ("--enable-stdout-logs", 0),
     ("--disable-stdout-logs", 0),
     ("--enable-external-lib-logs", 0),
@@ -26,6 +24,8 @@ pub struct RosArgs {
     pub parameters: Vec<Source>,
     /// Rules for names, in the order in which they count.
     pub remaps: Vec<Remap>,
+    /// The log is not to be on `/rosout`.
+    pub without_rosout: bool,
 }
 
 /// Where parameters come from.
@@ -84,6 +84,8 @@ impl RosArgs {
             "--params-file" => self.parameters.push(Source::File(value()?.into())),
             // Once more, as by a launch file in a launch file.
             "--ros-args" => {}
+            "--enable-rosout-logs" => self.without_rosout = false,
+            "--disable-rosout-logs" => self.without_rosout = true,
             "-p" | "--param" => self.parameters.push(one(&value()?)?),
             "-r" | "--remap" => {
                 let rule = value()?;
@@ -142,6 +144,7 @@ mod tests {
         )
         .unwrap();
         assert_eq!(others, ["roof", "--root", "/r"]);
+        assert!(args.without_rosout);
         let rules: Vec<&str> = args.remaps.iter().map(|remap| &remap.rule[..]).collect();
         assert_eq!(rules, ["__node:=lidar", "~/roof/points:=/points"]);
         let expected = [
