@@ -327,17 +327,21 @@ impl PointWriter<'_> {
     #[inline]
     fn returns(&self, index: usize) -> [Option<Stored>; 2] {
         let sweep = self.sweep;
-        let first = Stored {
+        let first = is_return(sweep.range[index]).then(|| Stored {
             range_m: sweep.range[index],
             reflectivity: sweep.reflectivity[index],
             label: sweep.label[index],
-        };
-        let second = sweep.range2.get(index).map(|&range_m| Stored {
+        });
+        let second = sweep
+            .range2
+            .get(index)
+            .filter(|&&range_m| is_return(range_m));
+        let second = second.map(|&range_m| Stored {
             range_m,
             reflectivity: sweep.reflectivity2[index],
             label: sweep.label2[index],
         });
-        [Some(first), second].map(|stored| stored.filter(|stored| is_return(stored.range_m)))
+        [first, second]
     }
 
     /// Writes the list and gives its bytes.

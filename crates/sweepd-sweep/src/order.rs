@@ -21,16 +21,20 @@ pub struct FiredPixel {
 /// begins: only the shots of those that overlap are sorted.
 pub struct PixelsByTime<'a> {
     sweep: SweepRef<'a>,
-    /// From the first of a firing to the last.
-    rows: Vec<usize>,
+    /// From the first of a firing to the last: how many columns before the firing its pixel is.
+    rows: Vec<(usize, i64)>,
+    is_circular: bool,
     /// From the first shot of a firing to its last.
     lasts_ns: u64,
     /// By firing: the least time of it and those behind it.
     earliest_ns: Vec<u32>,
     next_firing: usize,
-    /// The pixels of some firings, which end before the next firing begins.
+    /// The firing whose pixels are given, which ends before the next one begins; none where
+    /// firings overlap.
+    alone: Option<usize>,
+    /// The pixels of firings that overlap, which end before the next firing begins.
     pixels: Vec<FiredPixel>,
-    /// How many of them were given.
+    /// How many of these, or rows of the other, were given.
     given: usize,
 }
 
@@ -49,23 +53,27 @@ impl<'a> PixelsByTime<'a> {
         }
         Self {
             sweep,
-            rows,
+            rows: rows
+                .into_iter()
+                .map(|row| (row, i64::from(sweep.beams[row].shift)))
+                .collect(),
+            is_circular: sweep.header.has(flags::CIRCULAR),
             lasts_ns: u64::from(last_ns.saturating_sub(first_ns)),
             earliest_ns,
             next_firing: 0,
+            alone: None,
             pixels: Vec::new(),
             given: 0,
         }
     }
 
-    /// Takes the next firing, and those that it overlaps.
-    fn take_firings(&mut self) {
-        self.pixels.clear();
-        self.given = 0;
+    /// Takes the next firing, and those that it overlaps; false where there is none.
+    fn take_firings(&mut self) -> bool {
         let first = self.next_firing;
+        self.pixels.clear();
+        (self.given, self.alone) = (0, None);
         let mut latest_ns = 0;
         while let Some(column) = self.sweep.columns.get(self.next_firing) {
-            self.take_firing(self.next_firing);
             self.next_firing += 1;
             latest_ns = latest_ns.max(u64::from(column.time_ns) + self.lasts_ns);
             let behind_ns = self.earliest_ns.get(self.next_firing);
@@ -73,33 +81,45 @@ impl<'a> PixelsByTime<'a> {
                 break;
             }
         }
-        if self.next_firing - first > 1 {
-            let SweepRef { columns, beams, .. } = self.sweep;
-            let shot_ns = |pixel: &FiredPixel| {
-                let [firing_ns, offset_ns] = [
-                    columns[pixel.firing].time_ns,
-                    beams[pixel.row].time_offset_ns,
-                ];
-                u64::from(firing_ns) + u64::from(offset_ns)
-            };
-            self.pixels.sort_by_cached_key(shot_ns);
+        if self.next_firing - first == 1 {
+            self.alone = Some(first);
+        } else {
+            self.sort(first);
         }
+        self.next_firing > first
     }
 
-    #[inline]
-    fn take_firing(&mut self, firing: usize) {
+    /// Sorts the pixels of the firings from one on that are taken.
+    fn sort(&mut self, first: usize) {
         let SweepRef { columns, beams, .. } = self.sweep;
-        let is_circular = self.sweep.header.has(flags::CIRCULAR);
-        for &row in &self.rows {
-            let at = firing as i64 - i64::from(beams[row].shift);
-            if let Some(column) = turned_to(at, columns.len(), is_circular) {
-                self.pixels.push(FiredPixel {
-                    row,
-                    column,
-                    firing,
-                });
+        for firing in first..self.next_firing {
+            for nth in 0..self.rows.len() {
+                if let Some(pixel) = self.pixel(nth, firing) {
+                    self.pixels.push(pixel);
+                }
             }
         }
+        let shot_ns = |pixel: &FiredPixel| {
+            let [firing_ns, offset_ns] = [
+                columns[pixel.firing].time_ns,
+                beams[pixel.row].time_offset_ns,
+            ];
+            u64::from(firing_ns) + u64::from(offset_ns)
+        };
+        self.pixels.sort_by_cached_key(shot_ns);
+    }
+
+    /// The nth pixel of a firing, unless it is outside of the image.
+    #[inline]
+    fn pixel(&self, nth: usize, firing: usize) -> Option<FiredPixel> {
+        let (row, shift) = self.rows[nth];
+        let columns = self.sweep.columns.len();
+        let column = turned_to(firing as i64 - shift, columns, self.is_circular)?;
+        Some(FiredPixel {
+            row,
+            column,
+            firing,
+        })
     }
 }
 
@@ -108,13 +128,22 @@ impl Iterator for PixelsByTime<'_> {
 
     #[inline]
     fn next(&mut self) -> Option<FiredPixel> {
-        while self.given == self.pixels.len() {
-            if self.next_firing == self.sweep.columns.len() {
+        loop {
+            if let Some(pixel) = self.pixels.get(self.given) {
+                self.given += 1;
+                return Some(*pixel);
+            }
+            if let Some(firing) = self.alone {
+                while self.given < self.rows.len() {
+                    self.given += 1;
+                    if let Some(pixel) = self.pixel(self.given - 1, firing) {
+                        return Some(pixel);
+                    }
+                }
+            }
+            if !self.take_firings() {
                 return None;
             }
-            self.take_firings();
         }
-        self.given += 1;
-        Some(self.pixels[self.given - 1])
     }
 }
