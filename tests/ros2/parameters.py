@@ -48,7 +48,7 @@ def main():
     said["unknown"] = len(answer(client.get_parameters(["stamp", "none"])).values)
     said["described"] = [[one.name, one.type, one.read_only] for one in answer(client.describe_parameters(["roof.stamp", "root"])).descriptors]
     said["before"] = heights[-1]
-    said["set"] = set_to(roof__organized=True, stamp="middle", root="/x", none=1)
+    said["set"] = set_to(roof__organized=True, stamp="centre", root="/x", none=1)
     wait_for("another cloud", lambda: heights[-1] != said["before"])
     said["after"] = heights[-1]
     both = [Parameter("roof.organized", value=False), Parameter("min_columns", value=-1)]
