@@ -51,7 +51,10 @@ fn check(variable: &str, dds_domain: u32) {
     assert_eq!(said["described"], described);
     let set = json!([
         [true, ""],
-        [false, "`stamp`: expected first or last, not `middle`"],
+        [
+            false,
+            "`stamp`: expected first or middle or last, not `centre`"
+        ],
         [
             false,
             "`root` is read at the start: give it in the parameter file, and start again"

@@ -28,6 +28,14 @@ pub enum Source {
 }
 
 impl Source {
+    /// Its name among the parameters.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Odometry => "odom",
+            Self::Transforms => "tf",
+        }
+    }
+
     /// Its topic, before rules for names.
     pub fn topic(self, odometry: &str) -> &str {
         match self {

@@ -265,14 +265,7 @@ impl Parameters {
             "root" => text(self.root.as_ref().map(|root| root.display().to_string())),
             "health" => text(self.health.map(|address| address.to_string())),
             "base_frame" => Value::Text(self.base_frame.clone()),
-            "deskew" => Value::Text(
-                match self.deskew {
-                    Some(OdometrySource::Odometry) => "odom",
-                    Some(OdometrySource::Transforms) => "tf",
-                    None => "",
-                }
-                .to_owned(),
-            ),
+            "deskew" => text(self.deskew.map(|source| source.name().to_owned())),
             "odometry" => Value::Text(self.odometry.clone()),
             "clock" => Value::Bool(self.clock),
             _ => match name.rsplit_once('.') {
@@ -682,10 +675,8 @@ fn health(value: &Spanned<Tree>) -> Result<Option<SocketAddr>, String> {
 }
 
 fn deskew(value: &Spanned<Tree>) -> Result<Option<OdometrySource>, String> {
-    let sources = [
-        ("odom", OdometrySource::Odometry),
-        ("tf", OdometrySource::Transforms),
-    ];
+    let sources = [OdometrySource::Odometry, OdometrySource::Transforms];
+    let sources = sources.map(|source| (source.name(), source));
     let is_given = optional(value)?.is_some();
     is_given.then(|| choice(value, &sources)).transpose()
 }
@@ -1111,7 +1102,7 @@ mod tests {
         let heights_m = Value::Integers(vec![0, 2]);
         assert_eq!(parameters.set_running("scan_heights", &heights_m), Ok(()));
         let wrong = parameters.set_running("roof.stamp", &Value::Bool(true));
-        let words = "`roof.stamp`: expected first or last, not `true`";
+        let words = "`roof.stamp`: expected first or middle or last, not `true`";
         assert_eq!(wrong, Err(words.to_owned()));
     }
 
