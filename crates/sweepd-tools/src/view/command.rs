@@ -1,5 +1,6 @@
 //! `sweepd view`: a page in the browser.
 
+use hyper::http::uri::Authority;
 use std::io::{self, Write};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
@@ -205,10 +206,15 @@ impl Args {
     }
 }
 
-/// An origin as a browser writes it.
+/// An origin as a browser writes it: without the port that its scheme has by default.
 fn origin(text: &str) -> Result<String, String> {
-    match text.split_once("://") {
-        Some((_, host)) if !host.is_empty() && !host.contains('/') => Ok(text.to_ascii_lowercase()),
+    let text = text.to_ascii_lowercase();
+    let [http, https] = ["http", "https"].map(|scheme| text.strip_prefix(&format!("{scheme}://")));
+    let usual_port = if https.is_some() { ":443" } else { ":80" };
+    match https.or(http).map(Authority::try_from) {
+        Some(Ok(host)) if !host.as_str().contains('@') => {
+            Ok(text.strip_suffix(usual_port).unwrap_or(&text).to_owned())
+        }
         _ => Err("expected scheme and host alone, such as https://lichtblick.example".to_owned()),
     }
 }
@@ -243,12 +249,17 @@ mod tests {
             origin("https://Robots.example:8443").as_deref(),
             Ok("https://robots.example:8443")
         );
+        let usual = origin("https://robots.example:443");
+        assert_eq!(usual.as_deref(), Ok("https://robots.example"));
         for text in [
             "",
             "null",
             "robots.example",
             "https://",
             "https://robots.example/",
+            "https://robots.example?all",
+            "https://me@robots.example",
+            "https://robots example",
         ] {
             assert!(origin(text).is_err(), "{text}");
         }

@@ -5,9 +5,11 @@
 //! the newest of those that come is kept: a slow viewer misses sweeps, and holds up nothing. It can
 //! change nothing: all but `subscribe` and `unsubscribe` is refused.
 
+use std::future::ready;
 use std::sync::Arc;
 use std::time::Duration;
 
+use hyper::body::Bytes;
 use hyper::upgrade::Upgraded;
 use hyper_util::rt::TokioIo;
 use serde::Deserialize;
@@ -89,6 +91,8 @@ struct Channel {
     topic: Topic,
     /// The one subscription that it may have.
     subscription: Option<u32>,
+    /// That is new: the newest message is still to be sent.
+    is_due: bool,
 }
 
 /// Talks with a viewer until it is gone.
@@ -138,6 +142,8 @@ impl Viewer {
         let mut second = interval(Duration::from_secs(1));
         second.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
+            let due = self.channels.iter().find(|channel| channel.is_due);
+            let due = due.map(|channel| channel.topic);
             tokio::select! {
                 biased;
                 message = self.socket.next() => self.hear(message?).await?,
@@ -145,7 +151,13 @@ impl Viewer {
                     changed.map_err(|_| Gone)?;
                     self.show().await?;
                 }
-                _ = second.tick() => self.send(Topic::Diagnostics).await?,
+                _ = second.tick() => {
+                    // One that has gone without a word is noticed by what is sent to it.
+                    self.socket.send(Message::Ping(Bytes::new())).await?;
+                    self.send(Topic::Diagnostics).await?;
+                }
+                // Behind the requests that wait: one message is made for all of them.
+                Some(topic) = ready(due) => self.send(topic).await?,
             }
         }
     }
@@ -178,6 +190,7 @@ impl Viewer {
                 id: self.last_id,
                 topic,
                 subscription: None,
+                is_due: false,
             });
         }
         self.say(json!({ "op": "advertise", "channels": offered }))
@@ -224,13 +237,12 @@ impl Viewer {
             format!("there is a subscription {id} already")
         } else if let Some(channel) = self.channels.iter_mut().find(is_wanted) {
             if channel.subscription.is_none() {
-                channel.subscription = Some(id);
-                let topic = channel.topic;
-                if topic == Topic::Transforms {
+                // A capture may be paused, and then nothing newer comes.
+                (channel.subscription, channel.is_due) = (Some(id), true);
+                if channel.topic == Topic::Transforms {
                     self.mount = None;
                 }
-                // A capture may be paused, and then nothing newer comes.
-                return self.send(topic).await;
+                return Ok(());
             }
             format!("channel {channel_id} has a subscription already")
         } else {
@@ -278,9 +290,12 @@ impl Viewer {
 
     /// Sends the newest of a topic, if it has a subscription.
     async fn send(&mut self, topic: Topic) -> Result<(), Gone> {
-        let mut channels = self.channels.iter();
-        let channel = channels.find(|channel| channel.topic == topic);
-        let Some(subscription) = channel.and_then(|channel| channel.subscription) else {
+        let mut channels = self.channels.iter_mut();
+        let Some(channel) = channels.find(|channel| channel.topic == topic) else {
+            return Ok(());
+        };
+        channel.is_due = false;
+        let Some(subscription) = channel.subscription else {
             return Ok(());
         };
         let mut message = vec![0; HEAD];
@@ -296,7 +311,8 @@ impl Viewer {
     /// Appends a message; gives its time. `None` if there is nothing to say.
     fn encode(&mut self, topic: Topic, message: &mut Vec<u8>) -> Option<u64> {
         if topic == Topic::Diagnostics {
-            return Some(self.diagnose(message));
+            // Before its first sweep, a capture has no time.
+            return (!self.is_played || self.frame.is_some()).then(|| self.diagnose(message));
         }
         let sweep = SweepRef::open(&self.frame.as_ref()?.bytes).ok()?;
         let names = self.names.as_ref()?;

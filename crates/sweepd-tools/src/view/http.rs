@@ -12,9 +12,10 @@
 //! socket must be asked for by the page itself, and that of a viewer by a program that is no browser,
 //! or by a page that may read. Connections, their time and their bytes are limited.
 
+use std::collections::BTreeSet;
 use std::convert::Infallible;
 use std::net::SocketAddr;
-use std::sync::{Arc, Once};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use http_body_util::Full;
 use hyper::body::{Bytes, Incoming};
@@ -41,8 +42,11 @@ use sweepd::http::{self, PATIENCE, ip_of, is_localhost, response, text};
 const CONNECTIONS: usize = 64;
 /// Most pages and viewers that are open at a time.
 const PAGES: usize = 8;
+/// Origins that are told to be refused: any web page can ask, again and again.
+const TOLD: usize = 8;
 /// Origins of viewers: apps on the desktop, whose page is a file, Foxglove and Lichtblick on the web.
-/// In a browser a file is of no origin (`null`), as a hostile page can make one of its frames.
+/// In a browser a file is of no origin (`null`; tried with Chromium 156), as a hostile page can make one
+/// of its frames.
 const VIEWERS: [&str; 3] = [
     "file://",
     "https://app.foxglove.dev",
@@ -56,7 +60,7 @@ pub(super) struct Server {
     channels: Channels,
     /// Other origins of viewers.
     origins: Vec<String>,
-    told: Once,
+    told: Mutex<BTreeSet<String>>,
     pages: Arc<Semaphore>,
 }
 
@@ -72,7 +76,7 @@ impl Server {
             address,
             channels,
             origins,
-            told: Once::new(),
+            told: Mutex::default(),
             pages: Arc::new(Semaphore::new(PAGES)),
         })
     }
@@ -175,8 +179,11 @@ impl Server {
             let refused = format!(
                 "a web page of {origin} may not read what the sensor sees: --allow-origin {origin} allows it"
             );
-            // A browser does not show the answer. Once: any web page can ask, again and again.
-            self.told.call_once(|| complain("warning", &refused));
+            // A browser does not show the answer.
+            let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+            if told.len() < TOLD && origin.len() <= 100 && told.insert(origin.to_owned()) {
+                complain("warning", &refused);
+            }
             return text(StatusCode::FORBIDDEN, &refused);
         }
         let is_asked = |name: &&str| has_word(headers, &SEC_WEBSOCKET_PROTOCOL, name);
