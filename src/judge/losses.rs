@@ -100,7 +100,7 @@ impl Tally {
 pub struct Limits {
     /// From here on it is reported.
     pub warning: f64,
-    /// Above this the sensor counts as failed.
+    /// From here on the sensor counts as failed.
     pub fault: f64,
 }
 

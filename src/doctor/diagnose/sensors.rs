@@ -312,13 +312,14 @@ impl SensorCheck<'_> {
     }
 }
 
-/// Whether a sensor's losses tell what the kernel dropped on a port.
+/// Whether the losses of all sensors on a port tell what the kernel dropped there.
 pub(super) fn tell_drops(port: u16, seen: &Observations) -> bool {
-    let mut there = seen.sensors.iter().filter(|one| one.port == port);
-    there.any(|sensor| {
+    let mut there = (seen.sensors.iter().filter(|one| one.port == port)).peekable();
+    let is_told = |sensor: &ObservedSensor| {
         let (recent, _) = losses(sensor, seen);
         sensor.fault.is_none() && recent.share() >= LEAST_LOSS && recent.blames_kernel()
-    })
+    };
+    there.peek().is_some() && there.all(is_told)
 }
 
 /// What was counted of a sensor and its port during the examination, and where that is.
