@@ -57,7 +57,8 @@ const ANSWER_RATIO: usize = 3;
 /// Between warnings that there is no room for others.
 const TELL_EVERY: Duration = Duration::from_secs(60);
 
-/// Readers and writers of which it was told once that they do not match.
+/// Readers and writers of which it was told once that they do not match. When that many were told of,
+/// others are told of [`TELL_EVERY`] after the first.
 const MAX_WARNINGS: usize = 64;
 
 /// The builtin endpoints that we have: a writer and a reader each of participants, publications and
@@ -326,7 +327,10 @@ fn endpoint(guid: Guid, participant: Guid, terms: &Terms) -> Vec<u8> {
 struct Ways {
     links: BTreeMap<SocketAddrV4, Arc<Link>>,
     /// Readers that ask for more than is offered, and writers that offer too little, which were told of.
+    /// They stay when they are forgotten: one that comes back is not told of again.
     warned: BTreeSet<Guid>,
+    /// When the first of those was told of.
+    warned_since: Option<Instant>,
     /// One count for all, so that it goes on for one that was forgotten and comes back.
     acknacks: u32,
 }
@@ -337,8 +341,8 @@ impl Ways {
         Arc::clone(link.or_insert_with(|| Arc::new(Link::new(place))))
     }
 
-    /// Gives a reader to a writer that it matches. One that asks for more than is offered is told
-    /// of.
+    /// Gives a reader to a writer that it matches. One that asks for more than is offered is told of, once
+    /// its participant has acknowledged something.
     fn join(
         &mut self,
         (offer, writer): (&Terms, &mut Writer),
@@ -354,7 +358,7 @@ impl Ways {
                 writer.add_reader(reader, link, is_confirmed, Instant::now(), out);
             }
             Match::AsksFor(what) => {
-                if self.is_news(reader) {
+                if confirmed_host.is_some() && self.is_news(reader) {
                     log::warn(format_args!(
                         "{}: a subscriber at {} asks for {what}, which is not offered: it \
                          gets nothing until it asks for less",
@@ -384,7 +388,7 @@ impl Ways {
             }
             Match::Yes | Match::No => {}
             Match::AsksFor(what) => {
-                if self.is_news(writer) {
+                if confirmed_host.is_some() && self.is_news(writer) {
                     log::warn(format_args!(
                         "{}: a publisher at {} does not offer {what}, which is asked for: nothing \
                          is taken of it until it offers more",
@@ -398,6 +402,13 @@ impl Ways {
 
     /// Whether an endpoint that does not match is to be told of.
     fn is_news(&mut self, endpoint: &Endpoint) -> bool {
+        let is_due = self.warned_since.is_none_or(|at| at.elapsed() > TELL_EVERY);
+        if self.warned.len() == MAX_WARNINGS && is_due {
+            self.warned.clear();
+        }
+        if self.warned.is_empty() {
+            self.warned_since = Some(Instant::now());
+        }
         self.warned.len() < MAX_WARNINGS && self.warned.insert(endpoint.guid)
     }
 
@@ -407,11 +418,6 @@ impl Ways {
         let mut message = Message::to(reader.prefix, writer.prefix);
         message.acknack(reader.entity, writer.entity, missing, self.acknacks);
         message
-    }
-
-    fn forget(&mut self, prefix: Prefix) {
-        self.warned.retain(|guid| guid.prefix != prefix);
-        self.drop_unused();
     }
 
     fn drop_unused(&mut self) {
@@ -823,8 +829,8 @@ impl Shared {
                 writer.confirm(prefix, host, Instant::now(), out);
             }
         }
-        state.join(prefix, Side::Writers, None, out);
         for side in Side::BOTH {
+            state.join(prefix, side, None, out);
             self.ask_for_endpoints(state, prefix, side, out);
         }
     }
@@ -1006,7 +1012,7 @@ impl State {
 
     fn forget(&mut self, prefix: Prefix) {
         self.remove(|guid| guid.prefix == prefix);
-        self.ways.forget(prefix);
+        self.ways.drop_unused();
     }
 
     /// Endpoints of others are no more.
