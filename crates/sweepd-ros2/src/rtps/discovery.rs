@@ -436,6 +436,12 @@ impl Discovery {
         is_there
     }
 
+    /// Whether what comes from an address comes from where a participant is.
+    pub fn is_at(&self, prefix: Prefix, source: Ipv4Addr, own: &OwnAddresses) -> bool {
+        let participant = self.participants.get(&prefix);
+        participant.is_some_and(|one| one.data.is_at(source, own))
+    }
+
     /// The host from which a participant has acknowledged something.
     pub fn confirmed_host(&self, prefix: Prefix) -> Option<Ipv4Addr> {
         let participant = self.participants.get(&prefix)?;

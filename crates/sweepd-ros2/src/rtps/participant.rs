@@ -759,6 +759,7 @@ impl Shared {
         submessage: Submessage,
         out: &mut Outbox,
     ) {
+        let is_there = state.discovery.is_at(prefix, source, &state.addresses);
         match submessage {
             Submessage::Data(data) if data.writer == wire::PARTICIPANTS_WRITER => {
                 if data.disposed {
@@ -770,6 +771,8 @@ impl Shared {
                     self.meet(state, prefix, meets, out);
                 }
             }
+            // Anyone can speak in its name.
+            Submessage::Data(_) | Submessage::Gap { .. } if !is_there => {}
             Submessage::Data(data) => match Side::told_by(data.writer) {
                 Some(side) => state.told((prefix, side), &data, out),
                 None => state.data(prefix, &data),
@@ -781,13 +784,18 @@ impl Shared {
                 last,
             } => match Side::told_by(writer) {
                 Some(side) => {
-                    state.discovery.heartbeat(prefix, side, first, last);
+                    if is_there {
+                        state.discovery.heartbeat(prefix, side, first, last);
+                    }
                     match state.discovery.confirmed_host(prefix) {
                         Some(_) => self.ask_for_endpoints(state, prefix, side, out),
                         None => state.ask_whether_it_hears(prefix, out),
                     }
                 }
-                None => state.heartbeat(reader, Guid::new(prefix, writer), first, last, out),
+                None if is_there => {
+                    state.heartbeat(reader, Guid::new(prefix, writer), first, last, out);
+                }
+                None => {}
             },
             Submessage::Gap {
                 reader,

@@ -601,3 +601,64 @@ fn a_host_with_two_addresses_is_reached_at_the_one_that_answers() {
     receive(&here, wireless);
     assert_eq!(written_to(&participant, &writer), [place]);
 }
+
+#[test]
+fn samples_in_the_name_of_another_are_not_taken() {
+    let (participant, _writer) = deaf_within(218, DiscoveryRange::Subnet);
+    let [_, reader] = with_readers(&participant);
+    let there = Ipv4Addr::new(198, 51, 100, 7);
+    let elsewhere = Ipv4Addr::new(203, 0, 113, 7);
+    let prefix = [7; 12];
+    let receive = |message: &Message, source| participant.shared.receive(message.bytes(), source);
+    receive(&participant_at(prefix, &[there]), there);
+    receive(&acknowledgement(prefix, &participant), there);
+    receive(&writer_data(prefix), there);
+    let sample = |number| sample_in_fragments(prefix, number);
+    receive(&sample(1), elsewhere);
+    assert!(reader.inbox.take().is_none());
+    // Nor is it said in its name that they will never come, or that there is no such writer.
+    let mut gap = Message::new(prefix);
+    gap.gap(wire::ANY_READER, WRITER, 1, 9);
+    receive(&gap, elsewhere);
+    let mut heartbeat = Message::new(prefix);
+    let told = Heartbeat {
+        first: 9,
+        last: 9,
+        count: 1,
+    };
+    heartbeat.heartbeat(wire::ANY_READER, WRITER, told);
+    let out = receive(&heartbeat, elsewhere);
+    assert!(out.messages.is_empty());
+    let mut ended = Message::new(prefix);
+    let route = Route {
+        reader: wire::ANY_READER,
+        writer: wire::PUBLICATIONS_WRITER,
+        number: 2,
+    };
+    ended.disposal(route, Guid::new(prefix, WRITER), 0);
+    receive(&ended, elsewhere);
+    receive(&sample(1), there);
+    assert_eq!(reader.inbox.take().unwrap().id.number, 1);
+}
+
+#[test]
+fn only_of_those_that_acknowledge_something_is_it_told_that_they_do_not_match() {
+    let (participant, _writer) = deaf(219);
+    let [_, _] = with_readers(&participant);
+    let prefix = [7; 12];
+    let mut list = ParameterList::new();
+    list.put(
+        parameters::ENDPOINT_GUID,
+        &Guid::new(prefix, WRITER).bytes(),
+    );
+    list.string(parameters::TOPIC_NAME, ODOM);
+    list.string(parameters::TYPE_NAME, TYPE);
+    list.numbers(parameters::OWNERSHIP, &[1]);
+    let exclusive = data(prefix, wire::PUBLICATIONS_WRITER, 1, &list.end());
+    let told = || lock(&participant.shared.state).ways.warned.len();
+    take(&participant, participant_data(prefix).bytes());
+    take(&participant, exclusive.bytes());
+    assert_eq!(told(), 0);
+    take(&participant, acknowledgement(prefix, &participant).bytes());
+    assert_eq!(told(), 1);
+}
