@@ -508,19 +508,21 @@ impl Discovery {
             &mut participant.told[side as usize],
             &mut self.counts[side as usize],
         );
-        if !told.samples.insert(number) {
+        if !told.samples.wants(number) {
             return None;
         }
-        let endpoint = Endpoint::read(payload, side, &participant.data, own)?;
-        let entity = endpoint.guid.entity;
-        let known = told.endpoints.contains_key(&entity);
-        if endpoint.guid.prefix != prefix {
-            return None;
-        }
+        let endpoint = Endpoint::read(payload, side, &participant.data, own);
+        let endpoint = endpoint.filter(|endpoint| endpoint.guid.prefix == prefix);
+        let known = (endpoint.as_ref())
+            .is_none_or(|endpoint| told.endpoints.contains_key(&endpoint.guid.entity));
         if !known && *count == MAX_ENDPOINTS {
+            // It is missing still, and asked for again.
             self.is_full = true;
             return None;
         }
+        told.samples.insert(number);
+        let endpoint = endpoint?;
+        let entity = endpoint.guid.entity;
         *count += usize::from(!known);
         told.endpoints.insert(entity, endpoint);
         told.endpoints.get(&entity)

@@ -643,6 +643,7 @@ impl Shared {
         for (_, writer) in state.writers.values_mut() {
             writer.tick(now, &mut out);
         }
+        state.fill_readers(&mut out);
         state.tell_full(now);
         out
     }
@@ -973,6 +974,19 @@ impl State {
                 if let Some(offer) = offer {
                     self.ways.join((offer, writer), endpoint, host, out);
                 }
+            }
+        }
+    }
+
+    /// Gives readers of ours that have room again the writers that found none.
+    fn fill_readers(&mut self, out: &mut Outbox) {
+        for reader in self.readers.values_mut() {
+            if !reader.has_room_again() {
+                continue;
+            }
+            for writer in self.discovery.endpoints(Side::Writers) {
+                let host = self.discovery.confirmed_host(writer.guid.prefix);
+                self.ways.join_writer(reader, writer, host, out);
             }
         }
     }

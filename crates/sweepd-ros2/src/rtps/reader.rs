@@ -170,6 +170,8 @@ pub struct Reader {
     told_large: bool,
     /// It was told that there are too many writers.
     told_full: bool,
+    /// There was no room for a writer, since [`Reader::has_room_again`] was asked.
+    has_refused: bool,
 }
 
 impl Reader {
@@ -183,6 +185,7 @@ impl Reader {
             sources: BTreeMap::new(),
             told_large: false,
             told_full: false,
+            has_refused: false,
         }
     }
 
@@ -194,6 +197,7 @@ impl Reader {
             return true;
         }
         if self.sources.len() == MAX_WRITERS {
+            self.has_refused = true;
             if !std::mem::replace(&mut self.told_full, true) {
                 log::warn(format_args!(
                     "{}: {MAX_WRITERS} publishers are known, the most that there is room for: others are not \
@@ -218,6 +222,11 @@ impl Reader {
     pub fn remove_writers(&mut self, gone: impl Fn(Guid) -> bool) {
         self.sources.retain(|guid, _| !gone(*guid));
         self.writer_count_changed();
+    }
+
+    /// Whether there is room, once, for writers that found none.
+    pub fn has_room_again(&mut self) -> bool {
+        self.sources.len() < MAX_WRITERS && std::mem::take(&mut self.has_refused)
     }
 
     fn writer_count_changed(&self) {

@@ -145,6 +145,18 @@ fn data(prefix: Prefix, writer: EntityId, number: u64, payload: &[u8]) -> Messag
     message
 }
 
+/// "An endpoint of mine is no more."
+fn ended(prefix: Prefix, side: Side, entity: EntityId, number: u64) -> Message {
+    let mut message = Message::new(prefix);
+    let route = Route {
+        reader: wire::ANY_READER,
+        writer: side.builtin().1,
+        number,
+    };
+    message.disposal(route, Guid::new(prefix, entity), 0);
+    message
+}
+
 /// A writer of others.
 const WRITER: EntityId = [0, 0, 9, 3];
 
@@ -187,19 +199,11 @@ fn sensible(writer: Guid) -> Vec<Vec<u8>> {
     others.payload(&[
         0, 0, 0, 0, 5, 0, 0, 0, 1, 0, 0, 0, 3, 0, 0, 0, 0, 0, 0, 0xa0, 1, 0, 0, 0,
     ]);
-    let mut ended = Message::new(prefix);
-    let key = Guid::new(prefix, reader);
-    let route = Route {
-        reader: wire::ANY_READER,
-        writer: wire::SUBSCRIPTIONS_WRITER,
-        number: 2,
-    };
-    ended.disposal(route, key, 0);
     [
         participant_data(prefix),
         reader_data(prefix, 1, 1),
         others,
-        ended,
+        ended(prefix, Side::Readers, reader, 2),
     ]
     .iter()
     .map(|message| message.bytes().to_vec())
@@ -287,13 +291,7 @@ fn sensible_to_readers(prefix: Prefix) -> Vec<Vec<u8>> {
     small.gap(wire::ANY_READER, WRITER, 3, 5);
     let mut pieces = sample_in_fragments(prefix, 2);
     pieces.gap(wire::ANY_READER, WRITER, 1, 2);
-    let mut ended = Message::new(prefix);
-    let route = Route {
-        reader: wire::ANY_READER,
-        writer: wire::PUBLICATIONS_WRITER,
-        number: 2,
-    };
-    ended.disposal(route, Guid::new(prefix, WRITER), 0);
+    let ended = ended(prefix, Side::Writers, WRITER, 2);
     [writer_data(prefix), small, pieces, ended]
         .iter()
         .map(|message| message.bytes().to_vec())
@@ -442,6 +440,16 @@ fn a_flood_fills_what_there_is_room_for() {
     take(&participant, &[]);
     let counts = lock(&participant.shared.state).discovery.counts();
     assert_eq!(counts, (MAX_PARTICIPANTS, MAX_ENDPOINTS, 0));
+    // The first that found no room is still missing, and finds it once another has ended.
+    let ended = ended(prefix(0), Side::Readers, [0, 0, 7, 4], 6001);
+    take(&participant, ended.bytes());
+    let counts = lock(&participant.shared.state).discovery.counts();
+    assert_eq!(counts.1, MAX_ENDPOINTS - 1);
+    let again = MAX_ENDPOINTS as u16;
+    let again = reader_data(prefix(0), 1 + u64::from(again), again);
+    take(&participant, again.bytes());
+    let counts = lock(&participant.shared.state).discovery.counts();
+    assert_eq!(counts.1, MAX_ENDPOINTS);
     // All asked at once in one datagram.
     let mut asking = Message::new(prefix(0));
     let mut missing = NumberSet::new(1);
@@ -629,14 +637,7 @@ fn samples_in_the_name_of_another_are_not_taken() {
     heartbeat.heartbeat(wire::ANY_READER, WRITER, told);
     let out = receive(&heartbeat, elsewhere);
     assert!(out.messages.is_empty());
-    let mut ended = Message::new(prefix);
-    let route = Route {
-        reader: wire::ANY_READER,
-        writer: wire::PUBLICATIONS_WRITER,
-        number: 2,
-    };
-    ended.disposal(route, Guid::new(prefix, WRITER), 0);
-    receive(&ended, elsewhere);
+    receive(&ended(prefix, Side::Writers, WRITER, 2), elsewhere);
     receive(&sample(1), there);
     assert_eq!(reader.inbox.take().unwrap().id.number, 1);
 }
@@ -661,4 +662,27 @@ fn only_of_those_that_acknowledge_something_is_it_told_that_they_do_not_match() 
     assert_eq!(told(), 0);
     take(&participant, acknowledgement(prefix, &participant).bytes());
     assert_eq!(told(), 1);
+}
+
+#[test]
+fn a_writer_that_found_no_room_is_heard_once_another_has_ended() {
+    let (participant, _writer) = deaf(220);
+    let [_, reader] = with_readers(&participant);
+    let prefix = [7; 12];
+    take(&participant, participant_data(prefix).bytes());
+    take(&participant, acknowledgement(prefix, &participant).bytes());
+    for number in 1..=128 {
+        let guid = Guid::new(prefix, [0, 1, number, 3]);
+        let message = endpoint_data(guid, Side::Writers, u64::from(number), ODOM);
+        take(&participant, message.bytes());
+    }
+    let late = endpoint_data(Guid::new(prefix, WRITER), Side::Writers, 129, ODOM);
+    take(&participant, late.bytes());
+    take(&participant, sample_in_fragments(prefix, 1).bytes());
+    assert!(reader.inbox.take().is_none());
+    let ended = ended(prefix, Side::Writers, [0, 1, 5, 3], 130);
+    take(&participant, ended.bytes());
+    participant.shared.tick(Instant::now());
+    take(&participant, sample_in_fragments(prefix, 1).bytes());
+    assert_eq!(reader.inbox.take().unwrap().id.writer.entity, WRITER);
 }
