@@ -1,6 +1,8 @@
 //! The services for parameters, which every node of ROS has: they are listed, got, described, and set where
 //! that can be while the node runs.
 
+use std::collections::BTreeSet;
+
 use sweepd_messages::rcl::{Description, PARAMETER_SERVICES, Reply, Request, Value};
 use sweepd_ros2::{Node, NodeError, Service, log};
 
@@ -9,6 +11,10 @@ use crate::parameters::{Parameters, SensorParameters, description};
 
 /// Requests of one service that are answered before the node looks after other things.
 const AT_ONCE: usize = 10;
+
+/// Parameters that one request sets, and of those the ones that the log names.
+const MOST_SET: usize = 100;
+const MOST_NAMED: usize = 10;
 
 /// The services, and the parameters as they are now.
 pub struct Services {
@@ -86,11 +92,22 @@ impl Services {
                 Reply::Describe(names.iter().map(|name| self.describe(name)).collect())
             }
             Request::Set(parameters) => {
-                let one_by_one = parameters.chunks(1);
-                let results = one_by_one.map(|one| self.set(one, &known, bridges));
-                Reply::Set(results.collect())
+                let before = self.parameters.clone();
+                let mut results = vec![too_many(parameters.len()); parameters.len()];
+                if parameters.len() <= MOST_SET {
+                    let one_by_one = parameters.chunks(1);
+                    results = one_by_one.map(|one| self.set(one, &known)).collect();
+                }
+                self.tell_changes(&before, parameters, bridges);
+                Reply::Set(results)
             }
-            Request::SetAll(parameters) => Reply::SetAll(self.set(parameters, &known, bridges)),
+            Request::SetAll(parameters) => {
+                let before = self.parameters.clone();
+                let result = too_many(parameters.len());
+                let result = result.and_then(|()| self.set(parameters, &known));
+                self.tell_changes(&before, parameters, bridges);
+                Reply::SetAll(result)
+            }
         }
     }
 
@@ -113,12 +130,7 @@ impl Services {
     }
 
     /// Sets all of these, or none.
-    fn set(
-        &mut self,
-        values: &[(String, Value)],
-        known: &[String],
-        bridges: &[&Bridge],
-    ) -> Result<(), String> {
+    fn set(&mut self, values: &[(String, Value)], known: &[String]) -> Result<(), String> {
         let mut parameters = self.parameters.clone();
         for (name, value) in values {
             if !known.contains(name) {
@@ -126,15 +138,35 @@ impl Services {
             }
             parameters.set_running(name, value)?;
         }
-        if parameters != self.parameters {
-            self.parameters = parameters;
-            for bridge in bridges {
-                bridge.set_parameters(self.parameters.of(&bridge.name));
-            }
-            let names: Vec<&str> = values.iter().map(|(name, _)| &name[..]).collect();
-            log::info(format_args!("set by a client: {}", names.join(", ")));
-        }
+        self.parameters = parameters;
         Ok(())
+    }
+
+    /// Gives the bridges what a request has changed, and tells of it in one line of the log.
+    fn tell_changes(&self, before: &Parameters, set: &[(String, Value)], bridges: &[&Bridge]) {
+        if self.parameters == *before {
+            return;
+        }
+        for bridge in bridges {
+            bridge.set_parameters(self.parameters.of(&bridge.name));
+        }
+        let names = set.iter().map(|(name, _)| &name[..]);
+        let changed = |name: &&str| self.parameters.value(name) != before.value(name);
+        let names: BTreeSet<&str> = names.filter(changed).collect();
+        let named: Vec<&str> = names.iter().copied().take(MOST_NAMED).collect();
+        let more = match names.len() - named.len() {
+            0 => String::new(),
+            more => format!(" and {more} more"),
+        };
+        log::info(format_args!("set by a client: {}{more}", named.join(", ")));
+    }
+}
+
+/// Refuses to set so many at once.
+fn too_many(count: usize) -> Result<(), String> {
+    match count > MOST_SET {
+        true => Err(format!("at most {MOST_SET} parameters in a request")),
+        false => Ok(()),
     }
 }
 
