@@ -26,7 +26,10 @@ const LARGEST_REQUEST: usize = 1 << 16;
 const SERVICE_DEPTH: usize = 10;
 
 /// How long a request waits until its client is known to hear answers.
-const CLIENT_HEARS_WITHIN: Duration = Duration::from_secs(1);
+const CLIENT_HEARS_WITHIN: Duration = Duration::from_secs(10);
+
+/// Lines of the log that late readers get: rcl keeps 1,000, which at once would take the place of clouds.
+const ROSOUT_DEPTH: usize = 100;
 
 /// Longest name of a node, and longest of a topic with its namespace, in bytes.
 const LONGEST_NODE_NAME: usize = 255;
@@ -169,10 +172,10 @@ impl Node {
             .publisher(name, message_type, transient_local, depth))
     }
 
-    /// Offers lines of the log on `/rosout`, as every node of ROS does: late readers get the last 1,000.
+    /// Offers lines of the log on `/rosout`, as every node of ROS does: late readers get the last 100.
     pub fn rosout(&self) -> Publisher {
         self.inner
-            .publisher("/rosout".to_owned(), &rcl::LOG, true, 1000)
+            .publisher("/rosout".to_owned(), &rcl::LOG, true, ROSOUT_DEPTH)
     }
 
     /// Offers a service below the node's name. Clients of rmw_fastrtps are answered; rmw_cyclonedds puts
@@ -464,18 +467,26 @@ impl Service {
     pub fn take(&self) -> Option<Request> {
         let mut early = lock(&self.early);
         early.retain(|(_, since)| since.elapsed() < CLIENT_HEARS_WITHIN);
-        while early.len() < SERVICE_DEPTH
-            && let Some(sample) = self.reader.inbox.take()
-        {
-            early.push((sample, Instant::now()));
-        }
         let participant = &self.node.participant;
         let hears = |sample: &Sample| {
             let client = sample.id.writer.prefix;
             participant.is_read_by(&self.writer, client)
         };
-        let index = early.iter().position(|(sample, _)| hears(sample))?;
-        Some(Request(early.remove(index).0))
+        if let Some(index) = early.iter().position(|(sample, _)| hears(sample)) {
+            return Some(Request(early.remove(index).0));
+        }
+        for _ in 0..SERVICE_DEPTH {
+            let sample = self.reader.inbox.take()?;
+            if hears(&sample) {
+                return Some(Request(sample));
+            }
+            // The oldest gives way: clients that hear no answers must not block others.
+            if early.len() == SERVICE_DEPTH {
+                early.remove(0);
+            }
+            early.push((sample, Instant::now()));
+        }
+        None
     }
 
     /// Answers a request: CDR, its encapsulation included.
