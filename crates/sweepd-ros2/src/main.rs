@@ -72,15 +72,13 @@ fn main() -> ExitCode {
         }
     };
     match run(&Args::parse_from(words), &ros) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            log::error(failure.what);
-            ExitCode::from(failure.code)
-        }
+        Ok(code) => code,
+        Err(failure) => failure.tell(),
     }
 }
 
-fn run(args: &Args, ros: &RosArgs) -> Result<(), Failure> {
+/// Returns the exit code; an error after the node was there is told by then.
+fn run(args: &Args, ros: &RosArgs) -> Result<ExitCode, Failure> {
     let name = NodeName::remapped(&args.namespace, &args.node, &ros.remaps);
     let parameters = Parameters::of_command_line(args, ros, &name).map_err(Failure::config)?;
     for ignored in &parameters.ignored {
@@ -146,17 +144,26 @@ fn run(args: &Args, ros: &RosArgs) -> Result<(), Failure> {
             services,
             rosout: rosout.as_ref(),
         };
-        let watched = sensors.watch(Diagnostics::new(diagnostics, parameters.health));
+        let code = match sensors.watch(Diagnostics::new(diagnostics, parameters.health)) {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(failure) => failure.tell(),
+        };
         // After an error too, or the threads would go on.
         over.store(true, Ordering::Relaxed);
         if let Some(rosout) = &rosout {
             rosout.publish();
         }
-        watched
+        Ok(code)
     })
 }
 
 impl Failure {
+    /// Tells of it.
+    fn tell(self) -> ExitCode {
+        log::error(self.what);
+        ExitCode::from(self.code)
+    }
+
     fn config(error: impl Display) -> Self {
         Self {
             what: error.to_string(),
