@@ -17,6 +17,8 @@ const LONGEST_GUESS_NS: i64 = 50_000_000;
 const LATE_NS: i64 = 1_000_000_000;
 /// Poses that are further from a sweep than this are of another clock.
 const OTHER_CLOCK_NS: i64 = 5_000_000_000;
+/// So are those of a time that has not come: GPS is 18 s ahead of UTC, TAI 37 s.
+const AHEAD_NS: i64 = 1_000_000_000;
 /// No robot is faster: metres and radians a second, beside what its odometry may correct at once. What
 /// is faster is a jump, over which nothing is interpolated.
 const FASTEST: [f64; 2] = [100.0, 30.0];
@@ -115,7 +117,7 @@ impl Track {
         };
         let late_ns = last_ns.saturating_sub(newest.time_ns);
         let early_ns = oldest.time_ns.saturating_sub(first_ns);
-        if late_ns.max(early_ns) > OTHER_CLOCK_NS {
+        if late_ns.max(early_ns) > OTHER_CLOCK_NS || late_ns < -AHEAD_NS {
             return Err(Missing::OtherClock(late_ns));
         }
         if early_ns > 0 {
@@ -312,6 +314,19 @@ mod tests {
             around(&one, 0.0, 0.0).unwrap().at(ns(1.0)).position_m[0],
             3.0
         );
+    }
+
+    /// A track that is long enough reaches back to the sweep, but its poses are those of 37 s before.
+    #[test]
+    fn a_clock_that_is_ahead_is_another_one() {
+        let track = drive(KEPT as i64);
+        let newest_s = 0.05 * (KEPT - 1) as f64;
+        for (ahead_s, ahead_ns) in [(37.0, 37_000_000_000), (1.1, 1_100_000_000)] {
+            let last_s = newest_s - ahead_s;
+            let why = Missing::OtherClock(-ahead_ns);
+            assert_eq!(around(&track, last_s - 0.1, last_s), Err(why));
+        }
+        assert!(around(&track, newest_s - 0.23, newest_s - 0.13).is_ok());
     }
 
     #[test]
