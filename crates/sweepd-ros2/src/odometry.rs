@@ -87,8 +87,8 @@ pub enum NotDeskewed {
     },
     /// It is about another frame.
     #[error(
-        "{topic} tells where `{child}` is, not `{base}`: give `base_frame` the name of the frame that it tells of, and the \
-         sensor's mount from there"
+        "{topic} tells where `{}` is, not `{base}`: give `base_frame` the name of the frame that it tells of, and the \
+         sensor's mount from there", child.escape_debug()
     )]
     OtherFrame {
         /// Its topic.

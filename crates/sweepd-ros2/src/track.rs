@@ -19,12 +19,17 @@ const LATE_NS: i64 = 1_000_000_000;
 const OTHER_CLOCK_NS: i64 = 5_000_000_000;
 /// So are those of a time that has not come: GPS is 18 s ahead of UTC, TAI 37 s.
 const AHEAD_NS: i64 = 1_000_000_000;
-/// No robot is faster: metres and radians a second, beside what its odometry may correct at once. What
-/// is faster is a jump, over which nothing is interpolated.
+/// No robot is faster: metres and radians a second.
 const FASTEST: [f64; 2] = [100.0, 30.0];
-const CORRECTED: [f64; 2] = [0.1, 0.1];
+/// None brakes or begins to turn harder: metres and radians a second, each second.
+const HARDEST: [f64; 2] = [50.0, 50.0];
+/// Metres and radians that odometry may correct at once. What is beyond all this is a jump, over which
+/// nothing is interpolated.
+const CORRECTED: [f64; 2] = [0.1, 0.05];
 /// Positions beyond this are none, metres.
 const FARTHEST_M: f64 = 1e9;
+/// Frames with longer names are none, bytes.
+const LONGEST_NAME: usize = 255;
 
 /// The newest poses of one frame in another, in the order of their times.
 #[derive(Debug, Default)]
@@ -66,6 +71,10 @@ pub enum Missing {
     OtherClock(i64),
 }
 
+fn length(of: [f64; 3]) -> f64 {
+    of.iter().map(|value| value * value).sum::<f64>().sqrt()
+}
+
 fn ms(time_ns: &i64) -> f64 {
     *time_ns as f64 * 1e-6
 }
@@ -95,7 +104,8 @@ impl Track {
             if (-LATE_NS..=0).contains(&since_ns) {
                 return false;
             }
-            if since_ns < 0 || newest.jumps_to(&pose) {
+            let before = self.poses.iter().nth_back(1);
+            if since_ns < 0 || newest.jumps_to(&pose, before) {
                 self.poses.clear();
             }
         }
@@ -145,7 +155,7 @@ impl Track {
 }
 
 impl Stamped {
-    /// None where a number is no place or no rotation.
+    /// None where a number is no place or no rotation, or a name is too long.
     fn of(located: &Located<'_>) -> Option<Self> {
         let Located {
             time_ns,
@@ -154,6 +164,10 @@ impl Stamped {
             ..
         } = *located;
         let length = rotation.iter().map(|part| part * part).sum::<f64>().sqrt();
+        let [parent, child] = [located.parent, located.child].map(str::len);
+        if parent.max(child) > LONGEST_NAME {
+            return None;
+        }
         let is_place = position_m.iter().all(|value| value.abs() <= FARTHEST_M);
         (is_place && length > 1e-3 && length.is_finite()).then(|| Self {
             time_ns,
@@ -162,14 +176,49 @@ impl Stamped {
         })
     }
 
-    /// Whether no robot gets from here to a later pose.
-    fn jumps_to(&self, later: &Self) -> bool {
-        let seconds = later.time_ns.saturating_sub(self.time_ns) as f64 * 1e-9;
+    /// Whether no robot gets from here to a later pose, as it came from the one before, if there is one.
+    fn jumps_to(&self, later: &Self, before: Option<&Self>) -> bool {
+        let seconds = self.seconds_to(later);
+        let (came, shorter_s, change) = match before {
+            None => ([[0.0; 3]; 2], seconds, FASTEST),
+            Some(before) => {
+                let came_s = before.seconds_to(self);
+                // Each velocity is that of the middle of its step.
+                let between_s = (came_s + seconds) / 2.0;
+                let change = HARDEST.map(|hardest| hardest * between_s);
+                (before.velocity_to(self), came_s.min(seconds), change)
+            }
+        };
+        let goes = self.velocity_to(later);
+        (0..2).any(|kind| {
+            let changed = [0, 1, 2].map(|axis| goes[kind][axis] - came[kind][axis]);
+            length(changed) * shorter_s > CORRECTED[kind] + change[kind] * shorter_s
+        })
+    }
+
+    fn seconds_to(&self, later: &Self) -> f64 {
+        later.time_ns.saturating_sub(self.time_ns) as f64 * 1e-9
+    }
+
+    /// Velocity in the parent frame, and rate of turn about the axes of this pose.
+    fn velocity_to(&self, later: &Self) -> [[f64; 3]; 2] {
+        let seconds = self.seconds_to(later);
         let way = [0, 1, 2].map(|axis| later.position_m[axis] - self.position_m[axis]);
-        let way_m = way.iter().map(|value| value * value).sum::<f64>().sqrt();
-        let turned_rad = 2.0 * self.cos_half(later).abs().min(1.0).acos();
-        let moved = [way_m, turned_rad];
-        (0..2).any(|kind| moved[kind] > CORRECTED[kind] + FASTEST[kind] * seconds)
+        let cos = self.cos_half(later);
+        let ([x, y, z, w], [later_x, later_y, later_z, later_w]) = (self.rotation, later.rotation);
+        // Of the rotation between the two: its axis, as long as the sine of half its angle.
+        let axis = [
+            w * later_x - later_w * x - y * later_z + z * later_y,
+            w * later_y - later_w * y - z * later_x + x * later_z,
+            w * later_z - later_w * z - x * later_y + y * later_x,
+        ];
+        // The shorter way; for small angles the sine is the angle.
+        let sin = length(axis).copysign(cos);
+        let turn_of_axis = match sin.abs() < 1e-9 {
+            true => 2.0_f64.copysign(cos),
+            false => 2.0 * length(axis).atan2(cos.abs()) / sin,
+        };
+        [way, axis.map(|part| part * turn_of_axis)].map(|moved| moved.map(|value| value / seconds))
     }
 
     /// Cosine of half the angle between two rotations, by sign.
@@ -333,7 +382,8 @@ mod tests {
     fn what_is_no_pose_changes_nothing_and_what_jumps_begins_anew() {
         let mut track = drive(5);
         let next = located(0.25, 2.5, 0.5);
-        let mut wrong = [next; 6];
+        let long = "x".repeat(256);
+        let mut wrong = [next; 8];
         wrong[0].rotation = [0.0; 4];
         wrong[1].rotation[3] = f64::NAN;
         wrong[2].rotation[0] = f64::INFINITY;
@@ -341,6 +391,8 @@ mod tests {
         wrong[4].position_m[1] = 1e300;
         // Late, or again.
         wrong[5].time_ns = ns(0.2);
+        wrong[6].parent = &long;
+        wrong[7].child = &long;
         for wrong in wrong {
             assert!(!track.add(&wrong), "{wrong:?}");
         }
@@ -360,6 +412,38 @@ mod tests {
         }
         let mut track = drive(5);
         assert!(track.add(&next) && track.poses.len() == 6);
+    }
+
+    /// Whether a track at 50 Hz goes on over all of these places, metres ahead and radians to the left.
+    fn goes_on(places: &[[f64; 2]]) -> bool {
+        let mut track = Track::default();
+        for (step, [x, yaw_rad]) in places.iter().enumerate() {
+            assert!(track.add(&located(0.02 * step as f64, *x, *yaw_rad)));
+        }
+        track.poses.len() == places.len()
+    }
+
+    #[test]
+    fn a_step_unlike_the_one_before_is_a_jump() {
+        // At 10 m/s, 0.2 m a step: a loop that closes moves it by 0.5 m, or turns it by 6 degrees.
+        assert!(goes_on(&[[0.0, 0.0], [0.2, 0.0], [0.4, 0.0]]));
+        assert!(!goes_on(&[[0.0, 0.0], [0.2, 0.0], [0.9, 0.0]]));
+        assert!(!goes_on(&[[0.0, 0.0], [0.2, 0.0], [0.4, 0.105]]));
+        // From 10 m/s to a stop with 12 m/s2 from one step to the next, 5 mm less each.
+        let brake = [0.0, 0.2, 0.395, 0.585, 0.77, 0.95, 1.125, 1.295];
+        assert!(goes_on(&brake.map(|x| [x, 0.0])));
+        // From straight on to 3 rad/s at once, over half a turn and the quaternion's change of sign.
+        let mut turn = vec![[0.0, 3.0], [0.1, 3.0]];
+        turn.extend((1..40).map(|step| [0.1, 3.0 + 0.06 * f64::from(step)]));
+        assert!(goes_on(&turn));
+        // A crash: from 10 m/s to nothing within a step, 0.2 m less.
+        assert!(!goes_on(&[[0.0, 0.0], [0.2, 0.0], [0.2, 0.0]]));
+        // Stamps 1 ms apart tell little of a velocity: 5 mm make 5 m/s.
+        let mut track = drive(5);
+        for (seconds, x) in [(0.201, 2.015), (0.25, 2.5), (0.3, 3.0)] {
+            assert!(track.add(&located(seconds, x, 2.0 * seconds)));
+        }
+        assert_eq!(track.poses.len(), 8);
     }
 
     /// Times and numbers of any size: no panic, and no more than so many poses.
