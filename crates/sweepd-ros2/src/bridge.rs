@@ -386,7 +386,7 @@ impl Bridge {
                     ));
                 }
                 if deskewed == 1 {
-                    self.note_mount(odometry, frame_id, view.header);
+                    self.note_frames(odometry, frame_id, view.header);
                 }
                 Some(motion)
             }
@@ -397,9 +397,16 @@ impl Bridge {
         }
     }
 
-    /// Warns where nobody says how the sensor sits on what odometry is about.
-    fn note_mount(&self, odometry: &Odometry, frame_id: &str, header: &Header) {
-        if !Pose::of_mount(header).is_given() && !odometry.is_of(frame_id) {
+    /// Tells whose poses deskew it, and warns where nobody says how the sensor sits there.
+    fn note_frames(&self, odometry: &Odometry, frame_id: &str, header: &Header) {
+        let [child, parent] = odometry.frames();
+        log::info(format_args!(
+            "{}: deskewed by poses of `{}` in `{}`",
+            self.name,
+            child.escape_debug(),
+            parent.escape_debug()
+        ));
+        if !Pose::of_mount(header).is_given() && child != frame_id {
             log::warn(format_args!(
                 "{}: no mount is given: it is deskewed as if it sits at the origin of the robot's frame, and looks ahead: \
                  give the daemon a [sensor.mount]",

@@ -400,7 +400,10 @@ mod tests {
         };
         let not_deskewed = |not_deskewed_in_a_row| Tally {
             not_deskewed_in_a_row,
-            not_deskewed: Some(NotDeskewed::Silent("/odom".to_owned())),
+            not_deskewed: Some(NotDeskewed::Silent {
+                what: "nothing".to_owned(),
+                topic: "/odom".to_owned(),
+            }),
             ..seen(0, 0)
         };
         let unreadable = Tally {

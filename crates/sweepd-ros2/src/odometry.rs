@@ -1,5 +1,6 @@
 //! The odometry of the robot, as the ROS graph tells it.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -9,7 +10,8 @@ use sweepd_messages::{Motion, Stamp};
 use sweepd_ros2::{Node, NodeError, Quality, Subscription};
 use sweepd_sweep::{Header, Pose, SweepRef};
 
-use crate::track::{Missing, Poses, Track};
+use crate::log;
+use crate::track::{LONGEST_STEP_NS, Missing, Poses, Track};
 
 /// Messages that wait until a sweep needs them; no more are read at once.
 const DEPTH: usize = 256;
@@ -59,12 +61,14 @@ pub struct Odometry {
     /// The frame of the robot.
     base: String,
     heard: Mutex<Heard>,
+    /// Whether it was told that several nodes publish it.
+    several_are_told: AtomicBool,
 }
 
 #[derive(Default)]
 struct Heard {
     track: Track,
-    /// When the newest pose came.
+    /// When the newest message of it came.
     at: Option<Instant>,
 }
 
@@ -75,14 +79,21 @@ pub enum NotDeskewed {
     #[error("nobody publishes {0}: is it the right topic?")]
     Unpublished(String),
     /// Nothing comes.
-    #[error("nothing comes on {0}")]
-    Silent(String),
-    /// Nothing comes any more.
-    #[error("nothing has come on {topic} for {} s", since.as_secs())]
-    Stopped {
+    #[error("{what} comes on {topic}")]
+    Silent {
+        /// What does not come.
+        what: String,
         /// Its topic.
         topic: String,
-        /// Since the newest pose.
+    },
+    /// Nothing comes any more.
+    #[error("{what} has come on {topic} for {} s", since.as_secs())]
+    Stopped {
+        /// What does not come.
+        what: String,
+        /// Its topic.
+        topic: String,
+        /// Since the newest message.
         since: Duration,
     },
     /// It is about another frame.
@@ -116,12 +127,14 @@ impl Odometry {
             subscription: node.subscription(topic, source.message_type(), quality, DEPTH)?,
             base: base.to_owned(),
             heard: Mutex::default(),
+            several_are_told: AtomicBool::new(false),
         })
     }
 
-    /// Whether it tells where this frame is.
-    pub fn is_of(&self, frame: &str) -> bool {
-        self.hear().track.child() == frame
+    /// The frame that it tells of, and the one in which it tells where that is.
+    pub fn frames(&self) -> [String; 2] {
+        let heard = self.hear();
+        [heard.track.child(), heard.track.parent()].map(str::to_owned)
     }
 
     /// How a sensor moved during a sweep. Waits for at most half a turn where poses come, but not that of
@@ -130,6 +143,7 @@ impl Odometry {
     /// # Errors
     /// [`NotDeskewed`].
     pub fn motion(&self, sweep: &SweepRef<'_>, frame_id: &str) -> Result<Motion, NotDeskewed> {
+        self.note_several();
         let ends_ns = [Stamp::First, Stamp::Last].map(|stamp| stamp.time_ns(sweep));
         let (poses, is_of_sensor) = self.wait(ends_ns, half_a_turn(sweep.header), frame_id)?;
         let sensor = match is_of_sensor {
@@ -153,7 +167,10 @@ impl Odometry {
             let found = self.around(&heard, ends_ns, guess, frame_id);
             drop(heard);
             match found {
-                Err(NotDeskewed::Missing(Missing::Late(_))) if !guess => {
+                // Odometry that is later than that does not come in time.
+                Err(NotDeskewed::Missing(Missing::Late(late_ns)))
+                    if !guess && late_ns <= LONGEST_STEP_NS =>
+                {
                     std::thread::sleep(LOOK_EVERY);
                 }
                 found => return found,
@@ -169,11 +186,33 @@ impl Odometry {
                 Source::Odometry => Located::of_odometry(&message).ok(),
                 Source::Transforms => Located::of_transforms(&message, &self.base).ok().flatten(),
             };
-            if located.is_some_and(|located| heard.track.add(&located)) {
+            if let Some(located) = located {
+                // Whether it is of use or not: what is wrong with it is not that nothing comes.
                 heard.at = Some(Instant::now());
+                heard.track.add(&located);
             }
         }
         heard
+    }
+
+    /// What does not come, in words.
+    fn nothing(&self) -> String {
+        match self.source {
+            Source::Odometry => "nothing".to_owned(),
+            Source::Transforms => format!("no transform of `{}`", self.base),
+        }
+    }
+
+    /// Warns once where several nodes publish it: a track of two tells nothing of either.
+    fn note_several(&self) {
+        let publishers = self.subscription.publishers();
+        let is_one = self.source == Source::Transforms || publishers <= 1;
+        if !is_one && !self.several_are_told.swap(true, Ordering::Relaxed) {
+            log::warn(format_args!(
+                "{publishers} nodes publish {}: sweeps need the odometry of one: give it a topic of its own (`odometry`)",
+                self.subscription.topic()
+            ));
+        }
     }
 
     fn around(
@@ -191,10 +230,16 @@ impl Odometry {
                 return Err(NotDeskewed::Unpublished(topic()));
             }
             Some(since) => {
-                let topic = topic();
-                return Err(NotDeskewed::Stopped { topic, since });
+                let (what, topic) = (self.nothing(), topic());
+                return Err(NotDeskewed::Stopped { what, topic, since });
             }
-            None => return Err(NotDeskewed::Silent(topic())),
+            None => {
+                let (what, topic) = (self.nothing(), topic());
+                return Err(NotDeskewed::Silent { what, topic });
+            }
+        }
+        if heard.track.is_empty() {
+            return Err(Missing::Nothing.into());
         }
         let child = heard.track.child();
         let is_of_sensor = child == frame_id;

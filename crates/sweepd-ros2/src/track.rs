@@ -9,7 +9,7 @@ use sweepd_sweep::Pose;
 const KEPT: usize = 1024;
 /// Longest time between two poses between which the robot is taken to go evenly: odometry at 10 Hz that
 /// loses one message.
-const LONGEST_STEP_NS: i64 = 250_000_000;
+pub const LONGEST_STEP_NS: i64 = 250_000_000;
 /// Longest time for which the robot is taken to go on evenly after the newest pose: at 3 m/s2 it is 4 mm
 /// off by then.
 const LONGEST_GUESS_NS: i64 = 50_000_000;
@@ -55,7 +55,7 @@ pub struct Poses(Vec<Stamped>);
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Missing {
     /// There is nothing.
-    #[error("no pose has come")]
+    #[error("no message of it has a pose")]
     Nothing,
     /// They are not there yet.
     #[error("the newest pose is {:.0} ms older than the sweep's last shot", ms(.0))]
@@ -88,6 +88,16 @@ impl Track {
     /// The frame whose poses these are.
     pub fn child(&self) -> &str {
         &self.child
+    }
+
+    /// Where its poses are told.
+    pub fn parent(&self) -> &str {
+        &self.parent
+    }
+
+    /// Whether it has no pose.
+    pub fn is_empty(&self) -> bool {
+        self.poses.is_empty()
     }
 
     /// Takes a pose; `false` where it is none, or comes late.
@@ -429,7 +439,10 @@ mod tests {
         assert!(goes_on(&[[0.0, 0.0], [0.2, 0.0], [0.4, 0.0]]));
         assert!(!goes_on(&[[0.0, 0.0], [0.2, 0.0], [0.9, 0.0]]));
         assert!(!goes_on(&[[0.0, 0.0], [0.2, 0.0], [0.4, 0.105]]));
-        // From 10 m/s to a stop with 12 m/s2 from one step to the next, 5 mm less each.
+        // 0.1 m, and 0.02 m for 50 m/s2.
+        assert!(goes_on(&[[0.0, 0.0], [0.2, 0.0], [0.515, 0.0]]));
+        assert!(!goes_on(&[[0.0, 0.0], [0.2, 0.0], [0.525, 0.0]]));
+        // A brake with 12.5 m/s2: 5 mm less each step.
         let brake = [0.0, 0.2, 0.395, 0.585, 0.77, 0.95, 1.125, 1.295];
         assert!(goes_on(&brake.map(|x| [x, 0.0])));
         // From straight on to 3 rad/s at once, over half a turn and the quaternion's change of sign.
