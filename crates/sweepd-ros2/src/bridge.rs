@@ -1,7 +1,7 @@
 //! One sensor: of each sweep, what somebody subscribed to is computed and published.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use sweepd_client::client::{Client, ClientError, Domain, Sweep};
@@ -23,8 +23,11 @@ use crate::transforms::Transforms;
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 /// A sensor is silent when no sweep comes for this long, as the daemon judges.
 pub const PATIENCE: Duration = Duration::from_secs(2);
-/// Sweeps in a row that may be not deskewed before it is told: odometry may be late once.
+/// Sweeps that may be not deskewed in a row, or between two messages of `/diagnostics`, before it is told:
+/// odometry may be late once.
 pub const USUAL_NOT_DESKEWED: u64 = 2;
+/// Before it is told that sweeps are deskewed again.
+const DESKEWED_FOR: Duration = Duration::from_secs(1);
 /// Before shared memory that cannot be read is tried again.
 const RETRY_AFTER: Duration = Duration::from_secs(1);
 
@@ -163,6 +166,7 @@ pub struct Seen {
     /// Messages that were computed, for each [`Topic`].
     computed: [AtomicU64; Topic::ALL.len()],
     tally: Mutex<Tally>,
+    deskewing: Mutex<Deskewing>,
 }
 
 /// Sums over sweeps.
@@ -192,10 +196,56 @@ pub struct Tally {
     pub deskewed_sweeps: u64,
     /// Sweeps that were published as they were measured, as no odometry was there.
     pub not_deskewed_sweeps: u64,
-    /// Those since the last one that was deskewed.
-    pub not_deskewed_in_a_row: u64,
     /// Why the newest of them was not.
     pub not_deskewed: Option<NotDeskewed>,
+}
+
+/// What was told of sweeps that are not deskewed, and what came since: the log has a line where that changes.
+#[derive(Debug, Default)]
+struct Deskewing {
+    /// Sweeps since the last one that was deskewed, and the newest of them for one kind of reason.
+    in_a_row: u64,
+    of_a_kind: u64,
+    why: Option<NotDeskewed>,
+    /// The reason that was told, until they are deskewed again.
+    told: Option<NotDeskewed>,
+    /// Since when all are deskewed.
+    deskewed_since: Option<Instant>,
+}
+
+impl Deskewing {
+    /// Takes a sweep that is not deskewed. Gives whether that is to be told.
+    fn fails(&mut self, why: &NotDeskewed) -> bool {
+        let is_of_kind = |other: &Option<NotDeskewed>| {
+            let other = other.as_ref();
+            other.is_some_and(|other| other.kind() == why.kind())
+        };
+        self.in_a_row += 1;
+        self.of_a_kind = if is_of_kind(&self.why) {
+            self.of_a_kind + 1
+        } else {
+            1
+        };
+        self.why = Some(why.clone());
+        self.deskewed_since = None;
+        let so_many = match self.told {
+            None => self.in_a_row,
+            Some(_) => self.of_a_kind,
+        };
+        let is_due = so_many > USUAL_NOT_DESKEWED && !is_of_kind(&self.told);
+        if is_due {
+            self.told = Some(why.clone());
+        }
+        is_due
+    }
+
+    /// Takes a sweep that is deskewed at a moment. Gives whether that is to be told.
+    fn works(&mut self, at: Instant) -> bool {
+        self.in_a_row = 0;
+        self.why = None;
+        let since = *self.deskewed_since.get_or_insert(at);
+        at.duration_since(since) >= DESKEWED_FOR && self.told.take().is_some()
+    }
 }
 
 impl Seen {
@@ -207,6 +257,11 @@ impl Seen {
     /// Messages that were computed of a topic.
     pub fn computed(&self, topic: Topic) -> u64 {
         self.computed[topic as usize].load(Ordering::Relaxed)
+    }
+
+    fn deskewing(&self) -> MutexGuard<'_, Deskewing> {
+        let deskewing = self.deskewing.lock();
+        deskewing.unwrap_or_else(PoisonError::into_inner)
     }
 
     fn with_tally<T>(&self, action: impl FnOnce(&mut Tally) -> T) -> T {
@@ -327,6 +382,9 @@ impl Bridge {
             publish(messages);
             let motion = self.motion(&view, &parameters.frame_id);
             messages = self.encode(&view, &parameters, true, motion.as_ref());
+        } else {
+            // Nobody asks for odometry, so that nothing is known of it.
+            *self.seen.deskewing() = Deskewing::default();
         }
         // The daemon has the memory back before the network is waited for.
         drop(sweep);
@@ -374,12 +432,11 @@ impl Bridge {
         let odometry = self.odometry.as_ref()?;
         match odometry.motion(view, frame_id) {
             Ok(motion) => {
-                let (deskewed, before) = self.seen.with_tally(|tally| {
+                let deskewed = self.seen.with_tally(|tally| {
                     tally.deskewed_sweeps += 1;
-                    let before = std::mem::take(&mut tally.not_deskewed_in_a_row);
-                    (tally.deskewed_sweeps, before)
+                    tally.deskewed_sweeps
                 });
-                if before > USUAL_NOT_DESKEWED {
+                if self.seen.deskewing().works(Instant::now()) {
                     log::info(format_args!(
                         "{}: sweeps are deskewed from now on",
                         self.name
@@ -415,15 +472,13 @@ impl Bridge {
         }
     }
 
-    /// Tells once that sweeps are not deskewed; `/diagnostics` counts them all.
+    /// Tells that sweeps are not deskewed, once for each reason; `/diagnostics` counts them all.
     fn note_not_deskewed(&self, why: NotDeskewed) {
-        let in_a_row = self.seen.with_tally(|tally| {
+        self.seen.with_tally(|tally| {
             tally.not_deskewed_sweeps += 1;
-            tally.not_deskewed_in_a_row += 1;
             tally.not_deskewed = Some(why.clone());
-            tally.not_deskewed_in_a_row
         });
-        if in_a_row == USUAL_NOT_DESKEWED + 1 {
+        if self.seen.deskewing().fails(&why) {
             log::warn(format_args!(
                 "{}: sweeps are published as they are measured, not deskewed: {why}; /diagnostics counts such sweeps",
                 self.name
@@ -485,5 +540,42 @@ impl Bridge {
 fn publish(messages: Vec<(&Publisher, Vec<u8>)>) {
     for (publisher, message) in messages {
         publisher.publish(message);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::track::Missing;
+
+    /// Lines of the log for sweeps each 100 ms: `d` is deskewed, `l` has late odometry, `o` that of
+    /// another clock.
+    fn lines(sweeps: &str) -> String {
+        let (mut deskewing, mut at) = (Deskewing::default(), Instant::now());
+        let mut told = String::new();
+        for (number, sweep) in (1..).zip(sweeps.chars()) {
+            at += Duration::from_millis(100);
+            let is_told = match sweep {
+                'd' => deskewing.works(at),
+                // The same reason, though not with the same number.
+                'l' => deskewing.fails(&Missing::Late(number).into()),
+                _ => deskewing.fails(&Missing::OtherClock(number).into()),
+            };
+            if is_told {
+                told += &format!("{sweep}{number} ");
+            }
+        }
+        told
+    }
+
+    #[test]
+    fn the_log_tells_each_change_once_and_is_not_flooded() {
+        assert_eq!(lines("dddllddddolddd"), "");
+        assert_eq!(lines("llllllll"), "l3 ");
+        assert_eq!(lines("llllooooo"), "l3 o7 ");
+        assert_eq!(lines("lolololo"), "l3 ");
+        // A second of deskewed sweeps.
+        assert_eq!(lines("lllddddddddddddlll"), "l3 d14 l18 ");
+        assert_eq!(lines(&"lllddd".repeat(20)), "l3 ");
     }
 }

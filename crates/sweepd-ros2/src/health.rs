@@ -206,10 +206,14 @@ fn judge(tally: &Tally, before: &Tally, rate: f64, said: Option<&Value>) -> (Lev
         );
         return (Level::Warn, message);
     }
+    let not_deskewed = tally
+        .not_deskewed_sweeps
+        .saturating_sub(before.not_deskewed_sweeps);
     if let Some(why) = &tally.not_deskewed
-        && tally.not_deskewed_in_a_row > USUAL_NOT_DESKEWED
+        && not_deskewed > USUAL_NOT_DESKEWED
     {
-        return (Level::Warn, format!("sweeps are not deskewed: {why}"));
+        let message = format!("{not_deskewed} sweeps are not deskewed: {why}");
+        return (Level::Warn, message);
     }
     let lost = tally.lost_packets.saturating_sub(before.lost_packets);
     let dropped = tally
@@ -398,8 +402,8 @@ mod tests {
             incomplete_in_a_row,
             ..seen(0, 0)
         };
-        let not_deskewed = |not_deskewed_in_a_row| Tally {
-            not_deskewed_in_a_row,
+        let not_deskewed = |not_deskewed_sweeps| Tally {
+            not_deskewed_sweeps,
             not_deskewed: Some(NotDeskewed::Silent {
                 what: "nothing".to_owned(),
                 topic: "/odom".to_owned(),
@@ -445,7 +449,7 @@ mod tests {
                 &not_deskewed(3),
                 None,
                 Level::Warn,
-                "sweeps are not deskewed: nothing comes on /odom",
+                "3 sweeps are not deskewed: nothing comes on /odom",
             ),
             (
                 &in_parts(3),

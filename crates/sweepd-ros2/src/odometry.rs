@@ -1,5 +1,6 @@
 //! The odometry of the robot, as the ROS graph tells it.
 
+use std::mem::{Discriminant, discriminant};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -112,6 +113,17 @@ pub enum NotDeskewed {
     /// There are no poses of that time.
     #[error(transparent)]
     Missing(#[from] Missing),
+}
+
+impl NotDeskewed {
+    /// What distinguishes it from other reasons, but for its numbers.
+    pub fn kind(&self) -> (Discriminant<Self>, Option<Discriminant<Missing>>) {
+        let missing = match self {
+            Self::Missing(missing) => Some(discriminant(missing)),
+            _ => None,
+        };
+        (discriminant(self), missing)
+    }
 }
 
 impl Odometry {
