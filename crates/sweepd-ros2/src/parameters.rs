@@ -189,18 +189,24 @@ impl Parameters {
         if args.root.is_some() {
             parameters.root.clone_from(&args.root);
         }
-        parameters.judge_wrong()?;
+        parameters.judge()?;
         Ok(parameters)
     }
 
     /// A wrong value of a sensor that is named ends the node. Else it may be of another node, as in a file
-    /// for many: it is told.
-    fn judge_wrong(&mut self) -> Result<(), ParameterError> {
+    /// for many: it is told. What cannot work together ends it, too.
+    fn judge(&mut self) -> Result<(), ParameterError> {
         for (sensor, error) in std::mem::take(&mut self.wrong) {
             if self.sensors.contains(&sensor) {
                 return Err(error);
             }
             self.ignored.push(error.to_string());
+        }
+        if self.deskew == Some(OdometrySource::Transforms) && self.base_frame.is_empty() {
+            return Err(ParameterError {
+                place: "`deskew: tf` with an empty `base_frame`".to_owned(),
+                what: "it needs the name of the robot's frame in /tf, as `base_link`".to_owned(),
+            });
         }
         Ok(())
     }
@@ -835,7 +841,7 @@ mod tests {
         let mut parameters = Parameters::default();
         let parsed = parameters.parse(text, "ros2.yaml", &node());
         parsed
-            .and_then(|()| parameters.judge_wrong())
+            .and_then(|()| parameters.judge())
             .map_err(|error| error.to_string())
             .map(|()| parameters)
     }
@@ -1023,6 +1029,10 @@ mod tests {
         for (text, part) in [
             ("stamp: last", "ros2.yaml:1: no `ros__parameters`"),
             ("/**:\n  ros__parameters: 3", "expected parameters"),
+            (
+                "/**:\n  ros__parameters: {deskew: tf, base_frame: ''}",
+                "`deskew: tf` with an empty `base_frame`: it needs the name",
+            ),
         ] {
             assert!(
                 parse(text).unwrap_err().contains(part),
