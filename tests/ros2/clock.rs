@@ -12,7 +12,7 @@ use super::peer::Peer;
 use super::world::{World, vlp16};
 
 /// DDS domain of this test.
-const DOMAIN: u32 = 97;
+const DOMAIN: u32 = 87;
 /// A turn at 10 Hz, nanoseconds.
 const TURN_NS: i64 = 100_000_000;
 /// Begins of the replay that are waited for. The capture has four seconds.

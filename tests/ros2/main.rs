@@ -3,7 +3,7 @@
 //! Interpreters are named by variables: `SWEEPD_JAZZY` and `SWEEPD_KILTED` have rclpy,
 //! `SWEEPD_ROS_PYTHON` has cyclonedds and rosbags; `.ci/run` has their versions. Debian's
 //! libfastrtps-dev is wanted too. Where they are missing the tests are ignored; under `CI=true`
-//! they fail. Each test has DDS domains of its own, from 90 on, and the peers of two Fast DDS
+//! they fail. Each test has DDS domains of its own, from 87 on, and the peers of two Fast DDS
 //! versions never share one.
 
 mod clock;

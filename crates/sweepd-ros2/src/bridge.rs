@@ -254,6 +254,11 @@ impl Seen {
         self.with_tally(|tally| tally.clone())
     }
 
+    /// The newest sweep, and when it came.
+    pub fn newest(&self) -> Option<(Header, Instant)> {
+        self.with_tally(|tally| tally.newest)
+    }
+
     /// Messages that were computed of a topic.
     pub fn computed(&self, topic: Topic) -> u64 {
         self.computed[topic as usize].load(Ordering::Relaxed)

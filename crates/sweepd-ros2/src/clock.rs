@@ -16,6 +16,8 @@ use crate::log;
 
 /// Between messages.
 const TICK: Duration = Duration::from_millis(10);
+/// Turns from a sweep to the next that tell how fast time goes; over more of them it was not even.
+const EVEN_TURNS: u64 = 2;
 /// How much of the rate is that of the newest sweep: one may be late.
 const SHARE: f64 = 0.25;
 
@@ -23,12 +25,12 @@ const SHARE: f64 = 0.25;
 pub fn run(publisher: &Publisher, bridge: &Bridge, over: &AtomicBool) {
     let mut time: Option<SimulatedTime> = None;
     while !over.load(Ordering::Relaxed) {
-        if let Some((header, at)) = bridge.seen.tally().newest {
+        if let Some((header, at)) = bridge.seen.newest() {
             let time = time.get_or_insert_with(|| SimulatedTime::new(&header, at));
             if let Some(back_ns) = time.see(&header, at) {
                 let back_s = back_ns as f64 * 1e-9;
                 log::warn(format_args!(
-                    "{}: {} goes back by {back_s:.3} s, as its sweeps do: the replay begins again",
+                    "{}: {} goes back by {back_s:.3} s, as its sweeps do: a replay begins again, or a clock was set back",
                     bridge.name,
                     publisher.topic(),
                 ));
@@ -79,8 +81,9 @@ impl SimulatedTime {
             self.told_ns = self.last_ns;
             return Some(back_ns);
         }
-        if passed_ns > 0.0 {
-            let rate = self.last_ns.abs_diff(before_ns) as f64 / passed_ns;
+        let step_ns = self.last_ns.abs_diff(before_ns);
+        if passed_ns > 0.0 && step_ns <= self.turn_ns.saturating_mul(EVEN_TURNS) {
+            let rate = step_ns as f64 / passed_ns;
             self.rate += SHARE * (rate - self.rate);
         }
         None
@@ -147,7 +150,10 @@ mod tests {
         for sweep in 1..40 {
             time.see(&header(100 + 100 * sweep), begun + 2 * TURN * sweep as u32);
         }
-        let at = begun + 2 * TURN * 39;
+        // A gap in the capture is no speed.
+        let mut at = begun + 2 * TURN * 39;
+        time.see(&header(60_000), at + TURN);
+        at += TURN;
         let before = now_ms(&mut time, at);
         assert_eq!(now_ms(&mut time, at + TURN) - before, 50);
     }

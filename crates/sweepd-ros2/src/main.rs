@@ -288,13 +288,21 @@ impl Sensors<'_, '_> {
 
     /// Starts `/clock` with the first sweep, if it is wanted: of several sensors, one has the time.
     fn start_clock(&mut self) -> Result<(), Failure> {
-        let has_sweeps = |bridge: &&Arc<Bridge>| bridge.seen.tally().newest.is_some();
+        if self.clock.is_none() {
+            return Ok(());
+        }
+        let has_sweeps = |bridge: &&Arc<Bridge>| bridge.seen.newest().is_some();
         let Some(bridge) = self.bridges.values().find(has_sweeps) else {
             return Ok(());
         };
         let Some(publisher) = self.clock.take() else {
             return Ok(());
         };
+        log::info(format_args!(
+            "{}: {} is the time of its sweeps, and of no other sensor's",
+            bridge.name,
+            publisher.topic()
+        ));
         let (bridge, over) = (Arc::clone(bridge), self.over);
         std::thread::Builder::new()
             .name("clock".to_owned())
@@ -310,7 +318,8 @@ impl Sensors<'_, '_> {
         let mut topics: Vec<String> = tokens
             .flat_map(|token| of_sensor.iter().map(|topic| topic.of(token)))
             .collect();
-        topics.extend([TF_STATIC, DIAGNOSTICS, CLOCK].map(str::to_owned));
+        topics.extend([TF_STATIC, DIAGNOSTICS].map(str::to_owned));
+        topics.extend(self.parameters.clock.then(|| CLOCK.to_owned()));
         let source = self.parameters.deskew;
         topics.extend(source.map(|source| source.topic(&self.parameters.odometry).to_owned()));
         for remap in self.remaps {
