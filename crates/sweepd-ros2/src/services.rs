@@ -201,4 +201,34 @@ mod tests {
             assert_eq!(names.map(|name| is_listed(name, &prefixes, depth)), listed);
         }
     }
+
+    #[test]
+    fn a_request_is_one_line_of_the_log_and_has_an_end() {
+        let mut services = Services {
+            services: vec![],
+            parameters: Parameters::default(),
+        };
+        let stamp = |value: &str| ("stamp".to_owned(), Value::Text(value.to_owned()));
+        let organized = ("organized".to_owned(), Value::Bool(false));
+        let set = vec![stamp("middle"), organized, stamp("last"), stamp("centre")];
+        let Reply::Set(results) = services.answer(&Request::Set(set), &[]) else {
+            panic!("no answer to a set");
+        };
+        let done: Vec<bool> = results.iter().map(Result::is_ok).collect();
+        assert_eq!(done, [true, true, true, false]);
+        let told = log::take().into_iter().map(|line| line.text);
+        let told: Vec<String> = told.filter(|line| line.contains("by a client")).collect();
+        assert_eq!(told, ["set by a client: stamp"]);
+
+        let many = vec![stamp("first"); 101];
+        let refused = Err("at most 100 parameters in a request".to_owned());
+        let reply = services.answer(&Request::Set(many.clone()), &[]);
+        assert_eq!(reply, Reply::Set(vec![refused.clone(); 101]));
+        let reply = services.answer(&Request::SetAll(many), &[]);
+        assert_eq!(reply, Reply::SetAll(refused));
+        assert_eq!(
+            services.parameters.value("stamp"),
+            Value::Text("last".into())
+        );
+    }
 }
