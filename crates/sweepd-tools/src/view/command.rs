@@ -58,7 +58,7 @@ pub struct Args {
     #[arg(long)]
     public: bool,
     /// Let web pages of this origin read by the protocol of Foxglove, beside those of this host, Foxglove
-    /// and Lichtblick, such as https://lichtblick.example; give it again for another
+    /// and Lichtblick, such as `https://lichtblick.example`; give it again for another
     #[arg(long, value_name = "ORIGIN", value_parser = origin)]
     allow_origin: Vec<String>,
     /// Do not open the browser
