@@ -28,6 +28,7 @@ use clap::Parser;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::flag;
 use sweepd_client::client::{Client, Domain};
+use sweepd_messages::MessageType;
 use sweepd_messages::message_type::{self, DIAGNOSTIC_ARRAY, TF_MESSAGE};
 use sweepd_messages::rcl::encode_log;
 use sweepd_ros2::args::Args;
@@ -99,39 +100,22 @@ fn run(args: &Args, ros: &RosArgs) -> Result<ExitCode, Failure> {
         environment.domain,
         domain.root().display()
     ));
-    let transforms = match &parameters.base_frame[..] {
-        "" => None,
-        base => {
-            let durability = Durability::TransientLocal;
-            let topic = name.remapped_topic(TF_STATIC, &ros.remaps);
-            let publisher = node.publisher(&topic, &TF_MESSAGE, durability)?;
-            Some(Transforms::new(publisher, base))
-        }
+    let graph = Graph {
+        node: &node,
+        name: &name,
+        remaps: &ros.remaps,
     };
-    let odometry = match parameters.deskew {
-        Some(source) => {
-            let topic = source.topic(&parameters.odometry);
-            let topic = name.remapped_topic(topic, &ros.remaps);
-            let odometry = Odometry::new(&node, source, &topic, &parameters.base_frame)?;
-            Some(Arc::new(odometry))
-        }
-        None => None,
-    };
-    let topic = name.remapped_topic(DIAGNOSTICS, &ros.remaps);
-    let diagnostics = node.publisher(&topic, &DIAGNOSTIC_ARRAY, Durability::Volatile)?;
+    let transforms = graph.transforms(&parameters)?;
+    let odometry = graph.odometry(&parameters)?;
+    let diagnostics = graph.publisher(DIAGNOSTICS, &DIAGNOSTIC_ARRAY, Durability::Volatile)?;
     let clock = match parameters.clock {
         false => None,
-        true => {
-            let topic = name.remapped_topic(CLOCK, &ros.remaps);
-            Some(node.publisher(&topic, &message_type::CLOCK, Durability::Volatile)?)
-        }
+        true => Some(graph.publisher(CLOCK, &message_type::CLOCK, Durability::Volatile)?),
     };
     std::thread::scope(|scope| {
         let sensors = Sensors {
             scope,
-            node: &node,
-            name: &name,
-            remaps: &ros.remaps,
+            graph,
             parameters: &parameters,
             domain: &domain,
             transforms: transforms.as_ref(),
@@ -226,12 +210,48 @@ impl Rosout {
     }
 }
 
+/// The node, and the rules for its names.
+struct Graph<'a> {
+    node: &'a Node,
+    name: &'a NodeName,
+    remaps: &'a [Remap],
+}
+
+impl Graph<'_> {
+    fn publisher(
+        &self,
+        topic: &str,
+        message_type: &'static MessageType,
+        durability: Durability,
+    ) -> Result<Publisher, NodeError> {
+        let topic = self.name.remapped_topic(topic, self.remaps);
+        self.node.publisher(&topic, message_type, durability)
+    }
+
+    fn transforms(&self, parameters: &Parameters) -> Result<Option<Transforms>, NodeError> {
+        let base = &parameters.base_frame[..];
+        if base.is_empty() {
+            return Ok(None);
+        }
+        let publisher = self.publisher(TF_STATIC, &TF_MESSAGE, Durability::TransientLocal)?;
+        Ok(Some(Transforms::new(publisher, base)))
+    }
+
+    fn odometry(&self, parameters: &Parameters) -> Result<Option<Arc<Odometry>>, NodeError> {
+        let Some(source) = parameters.deskew else {
+            return Ok(None);
+        };
+        let topic = source.topic(&parameters.odometry);
+        let topic = self.name.remapped_topic(topic, self.remaps);
+        let odometry = Odometry::new(self.node, source, &topic, &parameters.base_frame)?;
+        Ok(Some(Arc::new(odometry)))
+    }
+}
+
 /// The sensors, each with a thread.
 struct Sensors<'scope, 'env> {
     scope: &'scope Scope<'scope, 'env>,
-    node: &'env Node,
-    name: &'env NodeName,
-    remaps: &'env [Remap],
+    graph: Graph<'env>,
     parameters: &'env Parameters,
     domain: &'env Domain,
     transforms: Option<&'env Transforms>,
@@ -322,13 +342,13 @@ impl Sensors<'_, '_> {
         topics.extend(self.parameters.clock.then(|| CLOCK.to_owned()));
         let source = self.parameters.deskew;
         topics.extend(source.map(|source| source.topic(&self.parameters.odometry).to_owned()));
-        for remap in self.remaps {
-            let moves = |topic: &String| self.name.moves(remap, topic);
-            if !self.name.is_renamed_by(remap) && !topics.iter().any(moves) {
+        for remap in self.graph.remaps {
+            let moves = |topic: &String| self.graph.name.moves(remap, topic);
+            if !self.graph.name.is_renamed_by(remap) && !topics.iter().any(moves) {
                 log::warn(format_args!(
                     "the rule `{}` renames nothing so far: the node is {}, its topics are {}",
                     remap.rule,
-                    self.name.full(),
+                    self.graph.name.full(),
                     topics.join(", ")
                 ));
             }
@@ -368,9 +388,9 @@ impl Sensors<'_, '_> {
             .topics()
             .iter()
             .map(|topic| {
-                let name = self.name.remapped_topic(&topic.of(&token), self.remaps);
-                let durability = Durability::Volatile;
-                self.node.publisher(&name, topic.message_type(), durability)
+                let (name, durability) = (topic.of(&token), Durability::Volatile);
+                self.graph
+                    .publisher(&name, topic.message_type(), durability)
             })
             .collect();
         let bridge = Arc::new(Bridge {

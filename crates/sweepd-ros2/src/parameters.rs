@@ -496,9 +496,7 @@ impl Given {
         }
         Ok(())
     }
-}
 
-impl Given {
     /// The value of one of [`OF_SENSOR`], its default where it was not given.
     fn value(&self, name: &str) -> Value {
         match name {
