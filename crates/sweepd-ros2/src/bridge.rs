@@ -192,6 +192,8 @@ pub struct Tally {
     pub latency: Duration,
     /// Why no sweep can be had.
     pub trouble: Option<String>,
+    /// How long the newest sweep waited for odometry.
+    pub odometry_wait: Duration,
     /// Sweeps that were deskewed for somebody.
     pub deskewed_sweeps: u64,
     /// Sweeps that were published as they were measured, as no odometry was there.
@@ -385,7 +387,9 @@ impl Bridge {
         if self.has_reader(true) {
             // What is not deskewed does not wait for odometry.
             publish(messages);
+            let asked = Instant::now();
             let motion = self.motion(&view, &parameters.frame_id);
+            (self.seen).with_tally(|tally| tally.odometry_wait = asked.elapsed());
             messages = self.encode(&view, &parameters, true, motion.as_ref());
         } else {
             // Nobody asks for odometry, so that nothing is known of it.

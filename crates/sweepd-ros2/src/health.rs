@@ -94,6 +94,8 @@ impl Diagnostics {
         values.add("dropped datagrams", tally.dropped_datagrams);
         values.add("missing columns", tally.missing_columns);
         if bridge.odometry.is_some() {
+            let wait_ms = 1e3 * tally.odometry_wait.as_secs_f64();
+            values.add("odometry wait ms", format!("{wait_ms:.1}"));
             values.add("deskewed sweeps", tally.deskewed_sweeps);
             values.add("not deskewed sweeps", tally.not_deskewed_sweeps);
         }
