@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 use sweepd_lab::testkit::daemon::run_command;
 use sweepd_lab::testkit::{Daemon, PATIENCE, ReservedPort, Signal, TempDomain};
 
-use super::scratch::{Row, program, write_page};
+use super::scratch::{Row, program};
 
 /// The row, in `[sensor.segment]`: a field that no key of ours sets.
 pub const KEY: Row = Row {
@@ -24,15 +24,6 @@ fn sweepd(args: &[&str]) -> Output {
 /// The lines of the row in an example.
 const LINES: &str =
     "\n# What is nearer than this is scratched together, metres.\n#scratch_m = 0.25\n";
-
-#[test]
-fn a_row_is_in_the_page_and_the_file_that_systemd_ships() {
-    for file in ["docs/configuration.md", "systemd/sweepd.toml"] {
-        assert!(!fs::read_to_string(file).unwrap().contains(LINES));
-        let written = write_page(&["-p", "sweepd", "--lib", "systemd_ships"], file);
-        assert!(written.contains(LINES), "{file}");
-    }
-}
 
 #[test]
 fn a_row_is_in_file_checks_reload_and_example() {

@@ -2,6 +2,7 @@
 //! of what has changed since.
 
 use std::env;
+use std::ffi::OsStr;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -29,14 +30,6 @@ pub fn program(name: &str) -> PathBuf {
     BUILT.get_or_init(build).join(name)
 }
 
-/// A file of the copy, after the test that writes it has run there.
-pub fn write_page(test: &[&str], file: &str) -> String {
-    // The copy is made with the programs.
-    program("sweepd");
-    cargo("test", test);
-    fs::read_to_string(folder().join("source").join(file)).unwrap()
-}
-
 /// What is kept from run to run.
 fn folder() -> PathBuf {
     Path::new(env!("CARGO_TARGET_TMPDIR")).join("tables")
@@ -44,29 +37,53 @@ fn folder() -> PathBuf {
 
 /// The folder of the programs.
 fn build() -> PathBuf {
+    let (source, target) = (folder().join("source"), folder().join("target"));
     copy(
         Path::new(env!("CARGO_MANIFEST_DIR")),
         Path::new(""),
-        &folder().join("source"),
+        &source,
     )
     .unwrap();
-    cargo("build", &["-p", "sweepd", "-p", "sweepd-ros2"]);
-    folder().join("target/debug")
+    let programs = target.join("debug");
+    if !programs.exists() {
+        take_over(&programs).unwrap();
+    }
+    // A test of each program, since these need it: as tests, other crates have the features that
+    // they were compiled with.
+    let mut cargo = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    cargo
+        .args(["test", "--no-run", "--quiet", "--offline", "--locked"])
+        .args(["--features=slow-tests", "--test=systemd", "--test=program"])
+        .current_dir(source)
+        .env("CARGO_TARGET_DIR", target);
+    for slow in ["sweepd", "sweepd-core", "sweepd-lab"] {
+        let profile = format!("profile.dev.package.{slow}.opt-level=0");
+        cargo.args(["--config", &profile]);
+    }
+    let status = cargo.status().unwrap();
+    assert!(status.success());
+    programs
 }
 
-/// Runs cargo in the copy.
-fn cargo(command: &str, args: &[&str]) {
-    let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let status = Command::new(cargo)
-        .args([command, "--quiet", "--offline", "--locked"])
-        .args(args)
-        .current_dir(folder().join("source"))
-        .env("CARGO_TARGET_DIR", folder().join("target"))
-        .env("CARGO_PROFILE_DEV_DEBUG", "0")
-        .env("SWEEPD_WRITE_PAGES", "1")
-        .status()
-        .unwrap();
-    assert!(status.success(), "cargo {command} {args:?}");
+/// Takes over what is compiled of other crates: from nothing, that takes minutes.
+fn take_over(to: &Path) -> io::Result<()> {
+    let from = Path::new(env!("CARGO_TARGET_TMPDIR")).with_file_name("debug");
+    fs::create_dir_all(to.join("deps"))?;
+    for made in fs::read_dir(from.join("deps"))? {
+        let path = made?.path();
+        let kind = path.extension().unwrap_or_default();
+        if ["d", "rlib", "rmeta", "so"].map(OsStr::new).contains(&kind) {
+            fs::hard_link(&path, to.join("deps").join(path.file_name().unwrap()))?;
+        }
+    }
+    // With their times, by which cargo knows what is new.
+    let status = Command::new("cp")
+        .arg("-a")
+        .args([from.join("build"), from.join(".fingerprint")])
+        .arg(to)
+        .status()?;
+    assert!(status.success());
+    Ok(())
 }
 
 /// Copies a folder of the repository, with the rows. A file that is the same already keeps its time,
