@@ -11,7 +11,9 @@ use std::sync::atomic::AtomicBool;
 use signal_hook::consts::SIGHUP;
 use signal_hook::flag;
 use tracing::{info, warn};
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
 
 use self::journal::Prioritised;
 use super::CliError;
@@ -20,7 +22,7 @@ use crate::daemon::control::{self, Reload, Reread};
 use crate::publish::{Domain, Keeper};
 use crate::text::visible;
 
-/// Variable with the log filter, in the directives of tracing-subscriber.
+/// Variable with what is logged: a level, or levels of modules, as tracing-subscriber's `Targets` reads them.
 const LOG: &str = "SWEEPD_LOG";
 
 /// Options of `sweepd run`.
@@ -149,25 +151,29 @@ impl Args {
 /// Log lines to standard error, for a terminal or the journal, which adds the time itself.
 fn log(level: Option<tracing::Level>) -> Result<(), CliError> {
     let filter = match (level, std::env::var(LOG)) {
-        (Some(level), _) => EnvFilter::new(level.as_str()),
-        (None, Ok(directives)) => EnvFilter::try_new(directives)
-            .map_err(|error| CliError::Usage(format!("{LOG}: {error}")))?,
-        (None, Err(_)) => EnvFilter::new("info"),
+        (Some(level), _) => Targets::new().with_default(level),
+        (None, Ok(levels)) if !levels.is_empty() => levels.parse().map_err(|_| {
+            CliError::Usage(format!(
+                "{LOG}={}: expected a level, as in `debug`, or those of parts of the program, as in \
+                 `info,sweepd::daemon=debug`",
+                visible(&levels)
+            ))
+        })?,
+        (None, _) => Targets::new().with_default(LevelFilter::INFO),
     };
     // Without a reader of the log the daemon continues: an internal error on standard error would
     // panic.
     let lines = tracing_subscriber::fmt()
-        .with_env_filter(filter)
+        .with_max_level(LevelFilter::TRACE)
         .with_writer(std::io::stderr)
         .log_internal_errors(false);
     if journal::hears_stderr() {
-        lines.event_format(Prioritised::default()).init();
+        let lines = lines.event_format(Prioritised::default());
+        lines.finish().with(filter).init();
     } else {
-        lines
-            .compact()
-            .with_target(false)
-            .with_ansi(std::io::stderr().is_terminal())
-            .init();
+        let lines = lines.compact().with_target(false);
+        let lines = lines.with_ansi(std::io::stderr().is_terminal());
+        lines.finish().with(filter).init();
     }
     Ok(())
 }

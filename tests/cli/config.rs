@@ -1,6 +1,6 @@
 //! `sweepd config`: what a configuration comes to, and what is wrong with one.
 
-use super::{Folder, sweepd};
+use super::{Folder, Ran, command, sweepd};
 
 const TWO: &str = r#"
 http = "off"
@@ -186,6 +186,14 @@ fn a_folder_that_cannot_be_had_is_named_by_its_key() {
         .find(|line| line.starts_with("error: "))
         .expect(&ran.stderr);
     assert!(ran.code == 1 && error.contains("/proc/none"), "{error}");
+}
+
+#[test]
+fn a_level_of_the_log_that_is_none_is_named() {
+    let mut run = command(&["run", "--sensor", "192.168.1.201"]);
+    run.env("SWEEPD_LOG", "info,sweepd::daemon=loud");
+    Ran::of(run.output().unwrap())
+        .says(&["SWEEPD_LOG=info,sweepd::daemon=loud", "expected a level"]);
 }
 
 #[test]
