@@ -13,8 +13,8 @@ pub use sweepd_sweep::{Pose, Return, SweepRef};
 pub use crate::domain::{Domain, DomainError};
 pub use crate::join::JoinError;
 use crate::service::{Topic, attributes};
-pub use crate::subscriber::{Next, SubscribeError};
-use crate::subscriber::{Received, Subscriber};
+use crate::subscriber::Received;
+pub use crate::subscriber::{Next, SubscribeError, Subscriber};
 
 /// The sweeps of one sensor.
 #[derive(Debug)]
@@ -172,6 +172,18 @@ impl Client {
     }
 }
 
+impl AsRef<Subscriber> for Client {
+    fn as_ref(&self) -> &Subscriber {
+        &self.subscriber
+    }
+}
+
+impl AsRef<Subscriber> for Objects {
+    fn as_ref(&self) -> &Subscriber {
+        &self.subscriber
+    }
+}
+
 /// The objects of one sensor, while its head turns.
 #[derive(Debug)]
 pub struct Objects {
@@ -224,6 +236,11 @@ impl ObjectsMessage {
     /// [`LayoutError`], if the publisher has changed it to be invalid.
     pub fn view(&self) -> Result<ObjectsRef<'_>, LayoutError> {
         ObjectsRef::with_header(&self.header, self.received.as_ref())
+    }
+
+    /// Its bytes, as [`sweepd_sweep::objects`] defines them.
+    pub fn bytes(&self) -> &[u8] {
+        self.received.as_ref()
     }
 }
 

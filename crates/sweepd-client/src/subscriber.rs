@@ -291,6 +291,12 @@ impl Subscriber {
         }
     }
 
+    /// Whether the next wait gives something at once.
+    pub fn has_next(&self) -> bool {
+        let open = self.open.as_ref();
+        open.is_some_and(|open| matches!(open.samples.has_samples(), Ok(true)))
+    }
+
     /// Whether the service was found; the daemon may still be gone.
     pub fn is_connected(&self) -> bool {
         self.open.is_some()

@@ -1,0 +1,405 @@
+//! The library libsweepd: `sweepd_client` behind a C ABI. `examples/sweepd.h` declares what is here, and says what
+//! each function means to its callers.
+//!
+//! No panic leaves a function, and what C can be told of a mistake is an error: a NULL, a name that is none. That
+//! a handle is one of this library's and was not given back is the caller's to keep.
+
+#![warn(missing_docs)]
+
+use std::cell::RefCell;
+use std::ffi::{CStr, CString, OsStr, c_char, c_void};
+use std::os::unix::ffi::OsStrExt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::ptr;
+use std::sync::{Mutex, MutexGuard};
+use std::time::Duration;
+
+use sweepd_client::client::{
+    Client, ClientError, Domain, Next, Objects, ObjectsMessage, Subscriber, Sweep,
+};
+
+/// Version of the ABI: it changes with a function's parameters or meaning. `build.rs` has it, too.
+const ABI_VERSION: u32 = 1;
+
+const RECEIVED: i32 = 0;
+const TIMEOUT: i32 = 1;
+const UNPUBLISHED: i32 = 2;
+const INTERRUPTED: i32 = 3;
+const INVALID: i32 = 4;
+const FAILED: i32 = 5;
+
+/// Where there is no length.
+const NO_LENGTH: usize = usize::MAX;
+
+thread_local! {
+    /// What failed last on this thread.
+    static ERROR: RefCell<CString> = RefCell::default();
+}
+
+/// What a client follows.
+enum Followed {
+    Sweeps(Client),
+    Objects(Objects),
+}
+
+/// `sweepd_client`. The lock makes calls from several threads wait for each other.
+pub struct Handle(Mutex<Followed>);
+
+/// `sweepd_sample`: a sweep, or a message of objects. It keeps the memory that it is in, and so may
+/// outlive its client.
+pub enum Sample {
+    /// A sweep.
+    Sweep(Sweep),
+    /// A message of objects.
+    Objects(ObjectsMessage),
+}
+
+/// Both may go from thread to thread: what they are of iceoryx2 has locks of its own.
+const fn is_send<T: Send>() {}
+const _: () = (is_send::<Handle>(), is_send::<Sample>()).0;
+
+impl Followed {
+    fn next(&mut self, timeout: Duration) -> Result<Next<Sample>, ClientError> {
+        Ok(match self {
+            Self::Sweeps(client) => sample(client.next(timeout)?, Sample::Sweep),
+            Self::Objects(objects) => sample(objects.next(timeout)?, Sample::Objects),
+        })
+    }
+
+    fn subscriber(&self) -> &Subscriber {
+        match self {
+            Self::Sweeps(client) => client.as_ref(),
+            Self::Objects(objects) => objects.as_ref(),
+        }
+    }
+}
+
+fn sample<T>(next: Next<T>, of: fn(T) -> Sample) -> Next<Sample> {
+    match next {
+        Next::Received(what) => Next::Received(of(what)),
+        Next::Timeout => Next::Timeout,
+        Next::Interrupted => Next::Interrupted,
+    }
+}
+
+/// Notes what failed, for `sweepd_error`.
+fn note(what: &str) {
+    let text = CString::new(what.replace('\0', " ")).unwrap_or_default();
+    // While the thread ends there is nobody to ask.
+    let _ = ERROR.try_with(|error| error.replace(text));
+}
+
+/// Does what a function does; `failed` where that fails or panics, and the reason is noted.
+fn caught<T>(failed: T, call: impl FnOnce() -> Result<T, String>) -> T {
+    // What may be left half done is behind the client's lock, which the panic closes.
+    match catch_unwind(AssertUnwindSafe(call)) {
+        Ok(Ok(done)) => return done,
+        Ok(Err(what)) => note(&what),
+        Err(_) => {
+            note("libsweepd panicked, which is a fault of its own: standard error has its message")
+        }
+    }
+    failed
+}
+
+/// A client, once no other thread uses it.
+///
+/// # Safety
+/// NULL, or a client that is not closed meanwhile.
+unsafe fn lock<'a>(client: *const Handle) -> Result<MutexGuard<'a, Followed>, String> {
+    // SAFETY: as the caller promises.
+    let client = unsafe { client.as_ref() }.ok_or("the client is NULL")?;
+    let followed = client.0.lock();
+    followed.map_err(|_| {
+        "an earlier call on this client panicked: close it, and open another".to_owned()
+    })
+}
+
+/// The bytes of a text.
+///
+/// # Safety
+/// NULL, or a text that ends in a zero and does not change meanwhile.
+unsafe fn bytes<'a>(text: *const c_char) -> Option<&'a [u8]> {
+    // SAFETY: as the caller promises.
+    (!text.is_null()).then(|| unsafe { CStr::from_ptr(text) }.to_bytes())
+}
+
+/// The domain in a folder; the default one for NULL and an empty text.
+///
+/// # Safety
+/// As [`bytes`].
+unsafe fn domain(root: *const c_char) -> Domain {
+    // SAFETY: as the caller promises.
+    match unsafe { bytes(root) } {
+        None | Some([]) => Domain::default(),
+        Some(root) => Domain::at(OsStr::from_bytes(root)),
+    }
+}
+
+/// Writes a text and a zero, as much as there is room for; gives the length of the whole.
+///
+/// # Safety
+/// `to` is NULL or has room for `capacity` bytes.
+unsafe fn put(text: &str, to: *mut c_char, capacity: usize) -> usize {
+    if !to.is_null() && capacity > 0 {
+        let len = text.len().min(capacity - 1);
+        // SAFETY: the text has so many bytes, the room one more, and a text of this library's is not in it.
+        unsafe {
+            ptr::copy_nonoverlapping(text.as_ptr().cast(), to, len);
+            to.add(len).write(0);
+        }
+    }
+    text.len()
+}
+
+fn handle(followed: Followed) -> *mut Handle {
+    Box::into_raw(Box::new(Handle(Mutex::new(followed))))
+}
+
+/// Version of the ABI of this library.
+#[unsafe(no_mangle)]
+pub extern "C" fn sweepd_abi_version() -> u32 {
+    ABI_VERSION
+}
+
+/// What failed last on this thread: one line, empty where nothing did. Good until the next failure.
+#[unsafe(no_mangle)]
+pub extern "C" fn sweepd_error() -> *const c_char {
+    let text = ERROR.try_with(|error| error.borrow().as_ptr());
+    text.unwrap_or(c"".as_ptr())
+}
+
+/// A client of a sensor's sweeps; NULL where it cannot be.
+///
+/// # Safety
+/// Both are NULL or texts that end in a zero.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sweepd_client_open(
+    sensor: *const c_char,
+    root: *const c_char,
+) -> *mut Handle {
+    caught(ptr::null_mut(), || {
+        // SAFETY: as the caller promises.
+        let (sensor, domain) = unsafe { (bytes(sensor), domain(root)) };
+        let sensor = sensor.ok_or("the name of the sensor is NULL")?;
+        let sensor = str::from_utf8(sensor).map_err(|_| "the name of the sensor is not UTF-8")?;
+        let client = Client::within(&domain, sensor).map_err(|error| error.to_string())?;
+        Ok(handle(Followed::Sweeps(client)))
+    })
+}
+
+/// A client of the objects of the same sensor; NULL where it cannot be.
+///
+/// # Safety
+/// NULL, or a client that is not closed.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sweepd_client_objects(client: *mut Handle) -> *mut Handle {
+    caught(ptr::null_mut(), || {
+        // SAFETY: as the caller promises.
+        let followed = unsafe { lock(client) }?;
+        let Followed::Sweeps(client) = &*followed else {
+            return Err(
+                "this client has objects already: ask one of sweeps for another".to_owned(),
+            );
+        };
+        let objects = client.objects().map_err(|error| error.to_string())?;
+        Ok(handle(Followed::Objects(objects)))
+    })
+}
+
+/// Waits for the next sweep, or the next objects.
+///
+/// # Safety
+/// `client` is NULL or not closed; `to` is NULL or has room for a pointer.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sweepd_client_next(
+    client: *mut Handle,
+    timeout_ns: i64,
+    to: *mut *mut Sample,
+) -> i32 {
+    caught(FAILED, || {
+        if to.is_null() {
+            return Err("there is no place for the sample: it is NULL".to_owned());
+        }
+        // SAFETY: as the caller promises.
+        let mut followed = unsafe {
+            to.write(ptr::null_mut());
+            lock(client)?
+        };
+        let timeout = u64::try_from(timeout_ns).map_or(Duration::MAX, Duration::from_nanos);
+        match followed.next(timeout) {
+            Ok(Next::Received(sample)) => {
+                // SAFETY: as above.
+                unsafe { to.write(Box::into_raw(Box::new(sample))) };
+                Ok(RECEIVED)
+            }
+            Ok(Next::Timeout) if followed.subscriber().is_published() => Ok(TIMEOUT),
+            Ok(Next::Timeout) => Ok(UNPUBLISHED),
+            Ok(Next::Interrupted) => Ok(INTERRUPTED),
+            Err(error @ (ClientError::Layout { .. } | ClientError::Objects { .. })) => {
+                note(&error.to_string());
+                Ok(INVALID)
+            }
+            Err(error) => Err(error.to_string()),
+        }
+    })
+}
+
+/// Whether one waits.
+///
+/// # Safety
+/// NULL, or a client that is not closed.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sweepd_client_has_next(client: *mut Handle) -> i32 {
+    // SAFETY: as the caller promises.
+    caught(0, || {
+        Ok(unsafe { lock(client) }?.subscriber().has_next().into())
+    })
+}
+
+/// Sweeps that were published and did not come; 0 for objects.
+///
+/// # Safety
+/// NULL, or a client that is not closed.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sweepd_client_missed(client: *mut Handle) -> u64 {
+    // SAFETY: as the caller promises.
+    caught(0, || match &*unsafe { lock(client) }? {
+        Followed::Sweeps(client) => Ok(client.missed()),
+        Followed::Objects(_) => Ok(0),
+    })
+}
+
+/// How often the service was lost and searched again.
+///
+/// # Safety
+/// NULL, or a client that is not closed.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sweepd_client_reopened(client: *mut Handle) -> u64 {
+    // SAFETY: as the caller promises.
+    caught(0, || Ok(unsafe { lock(client) }?.subscriber().reopened()))
+}
+
+/// Whether the service was found.
+///
+/// # Safety
+/// NULL, or a client that is not closed.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sweepd_client_is_connected(client: *mut Handle) -> i32 {
+    // SAFETY: as the caller promises.
+    caught(0, || {
+        Ok(unsafe { lock(client) }?.subscriber().is_connected().into())
+    })
+}
+
+/// Whether a daemon publishes at present.
+///
+/// # Safety
+/// NULL, or a client that is not closed.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sweepd_client_is_published(client: *mut Handle) -> i32 {
+    // SAFETY: as the caller promises.
+    caught(0, || {
+        Ok(unsafe { lock(client) }?.subscriber().is_published().into())
+    })
+}
+
+/// An attribute of the service, as snprintf(3) would write it; `SIZE_MAX` where there is none.
+///
+/// # Safety
+/// `client` is NULL or not closed, `key` NULL or a text that ends in a zero, `text` NULL or has room for
+/// `capacity` bytes.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sweepd_client_attribute(
+    client: *mut Handle,
+    key: *const c_char,
+    text: *mut c_char,
+    capacity: usize,
+) -> usize {
+    caught(NO_LENGTH, || {
+        // SAFETY: as the caller promises.
+        let (followed, key) = unsafe { (lock(client)?, bytes(key)) };
+        let key = String::from_utf8_lossy(key.unwrap_or_default());
+        let found = followed.subscriber().attribute(&key);
+        let found = found.ok_or("it is not known, or not yet")?;
+        // SAFETY: as the caller promises.
+        Ok(unsafe { put(&found, text, capacity) })
+    })
+}
+
+/// Names of the sensors of a domain, one a line, as snprintf(3) would write them; `SIZE_MAX` where it
+/// cannot be looked into.
+///
+/// # Safety
+/// `root` is NULL or a text that ends in a zero, `names` NULL or has room for `capacity` bytes.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sweepd_sensors(
+    root: *const c_char,
+    names: *mut c_char,
+    capacity: usize,
+) -> usize {
+    caught(NO_LENGTH, || {
+        // SAFETY: as the caller promises.
+        let domain = unsafe { domain(root) };
+        let found = Client::sensors(&domain).map_err(|error| error.to_string())?;
+        // SAFETY: as the caller promises.
+        Ok(unsafe { put(&found.join("\n"), names, capacity) })
+    })
+}
+
+/// Closes a client. What it gave may be held on.
+///
+/// # Safety
+/// NULL, or a client that no thread uses any more.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sweepd_client_close(client: *mut Handle) {
+    caught((), || {
+        if !client.is_null() {
+            // SAFETY: `handle` made it of a box, and the caller gives it back.
+            drop(unsafe { Box::from_raw(client) });
+        }
+        Ok(())
+    });
+}
+
+/// Where the bytes of a sample are, and how many.
+///
+/// # Safety
+/// `sample` is NULL or not released; `len` is NULL or has room for a number.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sweepd_sample_bytes(
+    sample: *const Sample,
+    len: *mut usize,
+) -> *const c_void {
+    caught(ptr::null(), || {
+        // SAFETY: as the caller promises.
+        let bytes = match unsafe { sample.as_ref() } {
+            Some(Sample::Sweep(sweep)) => sweep.bytes(),
+            Some(Sample::Objects(message)) => message.bytes(),
+            None => &[],
+        };
+        if !len.is_null() {
+            // SAFETY: as the caller promises.
+            unsafe { len.write(bytes.len()) };
+        }
+        match sample.is_null() {
+            true => Err("the sample is NULL".to_owned()),
+            false => Ok(bytes.as_ptr().cast()),
+        }
+    })
+}
+
+/// Gives a sample back, on any thread, and even after its client was closed.
+///
+/// # Safety
+/// NULL, or a sample that was not released.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sweepd_sample_release(sample: *mut Sample) {
+    caught((), || {
+        if !sample.is_null() {
+            // SAFETY: `sweepd_client_next` made it of a box, and the caller gives it back.
+            drop(unsafe { Box::from_raw(sample) });
+        }
+        Ok(())
+    });
+}
