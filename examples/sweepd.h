@@ -1,18 +1,27 @@
-/* The bytes of a sweep, and of objects while the head turns, for C99 and C++: layout version 3. Needs nothing but this file
- * and -lm.
+/* Sweeps, and objects while the head turns, for C99 and C++: layout version 3. Two parts:
  *
- *     sweepd_sweep sweep;
- *     if (sweepd_open(bytes, len, &sweep) == SWEEPD_OK) {
- *         for (uint32_t column = 0; column < sweep.columns_len; column++)
- *             for (uint32_t row = 0; row < sweep.rows; row++) {
- *                 size_t pixel = sweepd_pixel(&sweep, row, column);
- *                 double xyz[3];
- *                 if (!sweepd_is_return(sweep.range[pixel])) continue;
- *                 sweepd_point_m(&sweep, row, column, sweep.range[pixel], xyz);
- *             }
+ *   the bytes   what a sweep is, and how to read it. Needs nothing but this file and -lm.
+ *   receiving   functions of libsweepd.so, at the end of this file: link to it, -lsweepd.
+ *
+ *     sweepd_client *client = sweepd_client_open("roof", NULL);
+ *     sweepd_sample *sample;
+ *     while (sweepd_client_next(client, 1000000000, &sample) == SWEEPD_NEXT_RECEIVED) {
+ *         size_t len;
+ *         const void *bytes = sweepd_sample_bytes(sample, &len);
+ *         sweepd_sweep sweep;
+ *         if (sweepd_open(bytes, len, &sweep) == SWEEPD_OK)
+ *             for (uint32_t column = 0; column < sweep.columns_len; column++)
+ *                 for (uint32_t row = 0; row < sweep.rows; row++) {
+ *                     size_t pixel = sweepd_pixel(&sweep, row, column);
+ *                     double xyz[3];
+ *                     if (!sweepd_is_return(sweep.range[pixel])) continue;
+ *                     sweepd_point_m(&sweep, row, column, sweep.range[pixel], xyz);
+ *                 }
+ *         sweepd_sample_release(sample);
  *     }
+ *     sweepd_client_close(client);
  *
- * docs/layout.md says what each field means, and how the bytes come through shared memory. */
+ * C++17 has the same in sweepd.hpp. docs/layout.md says what each field means. */
 
 #ifndef SWEEPD_H
 #define SWEEPD_H
@@ -600,6 +609,82 @@ static inline void sweepd_points_in(const sweepd_sweep *sweep, const float *plan
             }
         }
 }
+
+/* ---- Receiving: libsweepd.so ----
+ *
+ * A program may be started before the daemon, and goes on when that was restarted. It must run as the daemon's user. It handles
+ * its signals itself: libsweepd handles none. A text that a function takes is UTF-8 and ends in a zero. */
+
+#define SWEEPD_ABI_VERSION 1u /* of the functions below */
+
+/* The version of the library. The loader finds only one of SWEEPD_ABI_VERSION; this is for a program that loads it itself. */
+uint32_t sweepd_abi_version(void);
+
+/* Follows the sweeps, or the objects, of one sensor. Calls from several threads wait for each other. */
+typedef struct sweepd_client sweepd_client;
+
+/* A sweep, or a message of objects, in shared memory, which does not change until it is released. */
+typedef struct sweepd_sample sweepd_sample;
+
+/* How a wait ended. */
+typedef enum sweepd_next {
+    SWEEPD_NEXT_RECEIVED = 0,
+    SWEEPD_NEXT_TIMEOUT = 1,     /* nothing came for so long */
+    SWEEPD_NEXT_UNPUBLISHED = 2, /* the same, and nobody publishes it at present: sweepd_sensors says what there is */
+    SWEEPD_NEXT_INTERRUPTED = 3, /* the program handled a signal. One that comes between two waits ends neither */
+    SWEEPD_NEXT_INVALID = 4,     /* what came is no sweep, or no objects, of this layout: sweepd_error. The next may be */
+    SWEEPD_NEXT_FAILED = 5       /* waiting does not mend it: sweepd_error says why, and the cure */
+} sweepd_next;
+
+/* What failed last on this thread: one line, "" where nothing did. Good until the next failure on this thread. */
+const char *sweepd_error(void);
+
+/* The sweeps of the sensor of this name, which need not be published yet. `root` is the daemon's folder; NULL is the default
+ * one. NULL: sweepd_error. */
+sweepd_client *sweepd_client_open(const char *sensor, const char *root);
+
+/* The objects of the same sensor: another client. The daemon notices it within about a second. NULL: sweepd_error. */
+sweepd_client *sweepd_client_objects(sweepd_client *client);
+
+/* Waits for the next, and for the daemon if there is none; at most so many nanoseconds, without a limit where that is negative.
+ * Gives a sweepd_next. `sample` is NULL unless one was received. Two sweeps can be held at a time, and with two held this fails;
+ * released, the next comes. A program that holds two, or is slow, misses sweeps and delays nobody. */
+int32_t sweepd_client_next(sweepd_client *client, int64_t timeout_ns, sweepd_sample **sample);
+
+/* 1: one waits, and sweepd_client_next would give it at once. */
+int32_t sweepd_client_has_next(sweepd_client *client);
+
+/* Where the bytes of a sample are, for sweepd_open or sweepd_objects_open: the memory that the daemon wrote, read-only. */
+const void *sweepd_sample_bytes(const sweepd_sample *sample, size_t *len);
+
+/* Gives a sample back, on any thread, and even after its client was closed. */
+void sweepd_sample_release(sweepd_sample *sample);
+
+/* Sweeps of a run of the daemon that were published and did not come, between the first and the newest that did. 0 for objects:
+ * first_ordinal of a message tells. */
+uint64_t sweepd_client_missed(sweepd_client *client);
+
+/* How often the service was lost, such as when its files were deleted, and searched again. */
+uint64_t sweepd_client_reopened(sweepd_client *client);
+
+/* 1: the service was found; the daemon may be gone for all that. */
+int32_t sweepd_client_is_connected(sweepd_client *client);
+
+/* 1: a daemon publishes it at present. */
+int32_t sweepd_client_is_published(sweepd_client *client);
+
+/* These two write as snprintf does: as much as fits into `capacity` bytes, with a zero at the end; they give the length of the
+ * whole, without the zero. (NULL, 0) just asks for that. */
+
+/* "model" of the sensor, "address" that its packets come from, or "schema", the version of the layout; SIZE_MAX where it is not
+ * known, or not yet. */
+size_t sweepd_client_attribute(sweepd_client *client, const char *key, char *text, size_t capacity);
+
+/* Names of the sensors that are published on this host, one a line; SIZE_MAX: sweepd_error. */
+size_t sweepd_sensors(const char *root, char *names, size_t capacity);
+
+/* Ends a client, which no thread may use any more. Samples stay. */
+void sweepd_client_close(sweepd_client *client);
 
 #ifdef __cplusplus
 }
