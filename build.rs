@@ -41,6 +41,8 @@ fn tell_what_is_missing() {
             is_root && has("unshare") && has("ip") && has("setpriv"),
         ),
         ("compilers", has("cc") && has("c++") && has("cmake")),
+        ("eigen", Path::new("/usr/include/eigen3").is_dir()),
+        ("node", has("node")),
         ("strace", has("strace")),
         ("systemd", has("systemd-analyze")),
         ("chromium", has("chromium")),

@@ -9,6 +9,8 @@
 mod common;
 #[path = "consumers/hostile.rs"]
 mod hostile;
+#[path = "consumers/library.rs"]
+mod library;
 #[path = "consumers/native.rs"]
 mod native;
 #[path = "consumers/objects.rs"]

@@ -7,6 +7,7 @@ pub mod bags;
 pub mod command;
 pub mod due;
 pub mod hdl64;
+pub mod library;
 pub mod npy;
 pub mod objects;
 pub mod raw;

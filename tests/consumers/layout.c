@@ -20,14 +20,17 @@ struct record {
     int64_t time_ns;
 };
 
-/* The whole file, at a multiple of 64. */
-static uint8_t *content(const char *path, size_t *len) {
+/* The whole file, at a multiple of 64, with so many bytes behind it and hardly more: what is read beyond them is seen. */
+static uint8_t *content(const char *path, size_t *len, size_t more) {
     FILE *file = fopen(path, "rb");
-    size_t room = (size_t)1 << 26;
-    uint8_t *bytes = (uint8_t *)malloc(room + 128);
-    if (file == NULL || bytes == NULL) exit(2);
+    uint8_t *bytes;
+    if (file == NULL || fseek(file, 0, SEEK_END) != 0) exit(2);
+    *len = (size_t)ftell(file);
+    rewind(file);
+    bytes = (uint8_t *)malloc(*len + 64 + more);
+    if (bytes == NULL) exit(2);
     bytes += 64 - (uintptr_t)bytes % 64;
-    *len = fread(bytes, 1, room, file);
+    if (fread(bytes, 1, *len, file) != *len) exit(2);
     fclose(file);
     return bytes;
 }
@@ -55,7 +58,7 @@ static void put(const sweepd_sweep *sweep, uint32_t row, uint32_t column, int ot
 
 static int points(const char *path) {
     size_t len;
-    uint8_t *bytes = content(path, &len);
+    uint8_t *bytes = content(path, &len, 0);
     sweepd_sweep sweep;
     uint32_t row, column;
     if (sweepd_open(bytes, len, &sweep) != SWEEPD_OK) return 3;
@@ -88,7 +91,7 @@ static sweepd_pose pose_at(int64_t time_ns, void *context) {
 static int points_in(char **args) {
     static double xyz[1 << 19][3];
     size_t len;
-    uint8_t *bytes = content(args[0], &len);
+    uint8_t *bytes = content(args[0], &len, 0);
     sweepd_sweep sweep;
     struct motion motion;
     if (sweepd_open(bytes, len, &sweep) != SWEEPD_OK) return 3;
@@ -104,7 +107,7 @@ static int points_in(char **args) {
 
 static int objects(const char *path) {
     size_t len;
-    uint8_t *bytes = content(path, &len);
+    uint8_t *bytes = content(path, &len, 0);
     sweepd_objects view;
     sweepd_pose mount;
     uint32_t at;
@@ -129,7 +132,7 @@ static sweepd_status check_objects(const void *bytes, size_t len) {
 
 static int check(const char *path, sweepd_status (*status_of)(const void *, size_t)) {
     size_t len;
-    uint8_t *bytes = content(path, &len);
+    uint8_t *bytes = content(path, &len, 64);
     uint32_t at, value, cut, shift, before;
     while (scanf("%" SCNu32 " %" SCNu32 " %" SCNu32 " %" SCNu32, &at, &value, &cut, &shift) == 4) {
         memcpy(&before, bytes + at, 4);

@@ -11,10 +11,10 @@ use std::time::{Duration, Instant};
 use sweepd::sensor::Model;
 use sweepd_lab::cast::{Scene, Sensor, Spin, Thing};
 
+use super::common::library::rust_example;
 use super::common::python_with_iceoryx2;
 use super::common::setup::{SOON, Setup};
 use super::of_project;
-use super::programs::rust_example;
 use super::python::Talk;
 
 /// Height of the sensor over the floor, metres, nose up and right side down, degrees.

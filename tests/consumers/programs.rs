@@ -1,47 +1,24 @@
 //! The example consumers as programs: what they print, how they end, and what they leave.
 
-use std::ffi::OsStr;
+use std::ffi::{OsStr, OsString};
 use std::os::unix::process::ExitStatusExt;
-use std::path::PathBuf;
-use std::process::{Command, Stdio};
+use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::time::Duration;
 
 use sweepd::client::Client;
 use sweepd::publish::Loans;
+use sweepd::sweep::layout::is_return;
 use sweepd::sweep::objects::{ObjectsHeader, flags};
 use sweepd::sweep::{Pose, SweepMut, SweepRef};
 use zerocopy::{FromBytes, IntoBytes};
 
+use super::common::library::{compile, library, rust_example};
 use super::common::{python_with_iceoryx2, temp_domain};
 use super::python::{Talk, loans, numbered, publish};
 use super::sweeps::Source;
 use super::{folder, objects, of_project};
 use sweepd_lab::testkit::TempDomain;
-
-/// An example of the client in Rust, built as these tests are, with the same features: `cargo test`
-/// has done so before.
-pub fn rust_example(name: &str) -> PathBuf {
-    let mut cargo = Command::new(env!("CARGO"));
-    cargo
-        .args("build --quiet --locked --offline --features slow-tests --example".split(' '))
-        .arg(name)
-        .current_dir(of_project(""));
-    if !cfg!(debug_assertions) {
-        cargo.arg("--release");
-    }
-    assert!(
-        cargo.status().unwrap().success(),
-        "the example is not built"
-    );
-    // target/debug/deps/consumers-*
-    std::env::current_exe()
-        .unwrap()
-        .ancestors()
-        .nth(2)
-        .unwrap()
-        .join("examples")
-        .join(name)
-}
 
 fn nearest(sweep: &SweepRef<'_>) -> Option<f32> {
     sweep
@@ -386,156 +363,154 @@ fn stop_is_said_of_a_sensor_that_does_not_see_and_of_another() {
     }
 }
 
-/// What of it needs no iceoryx2 is compiled and run; all of it is compiled where that is installed.
-#[test]
-#[cfg_attr(without_compilers, ignore = "no compilers")]
-fn the_cpp_consumer_compiles_and_reads_a_sweep() {
-    let (source, folder) = (of_project("examples/consumer.cpp"), folder("cpp"));
-    let program = folder.join("consumer");
-    let strict = ["-std=c++14", "-Wall", "-Wextra", "-Wpedantic", "-Werror"];
-    let mut command = Command::new("c++");
-    // No define: the source finds out for itself that the binding is not there.
-    command
-        .args(strict)
-        .env_remove("CPLUS_INCLUDE_PATH")
-        .arg(&source)
-        .arg("-o")
-        .arg(&program);
-    assert!(command.status().unwrap().success());
+/// The line at the top of examples/CMakeLists.txt, in a folder as cargo leaves it.
+fn cpp_examples(test: &str) -> PathBuf {
+    let (build, library) = (folder(test).join("build"), library());
+    let mut prefix = OsString::from("-DCMAKE_PREFIX_PATH=");
+    // As it is written there: from the folder of the project.
+    prefix.push(library.strip_prefix(of_project("")).unwrap_or(library));
     let run = |args: &[&OsStr]| {
-        let output = Command::new(&program).args(args).output().unwrap();
-        let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap().trim().to_owned();
-        (
-            output.status.success(),
-            text(output.stdout),
-            text(output.stderr),
-        )
+        let mut cmake = Command::new("cmake");
+        let output = cmake
+            .args(args)
+            .current_dir(of_project(""))
+            .env("PWD", of_project(""));
+        let output = output.output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && said.is_empty(), "{said}");
     };
-
-    let file = folder.join("sweep");
-    let sweep = Source::StreetVlp16Dual.sweeps().swap_remove(1);
-    std::fs::write(&file, sweep.as_ref()).unwrap();
-    let view = SweepRef::open(sweep.as_ref()).unwrap();
-    let (done, said, _) = run(&[file.as_os_str()]);
-    let obstacles = view
-        .returns()
-        .filter(|one| one.label >= 2 && one.range_m == nearest(&view).unwrap());
-    let [x, y, z] = obstacles.map(|one| one.point_m).next().unwrap();
-    let expected = format!(
-        "nearest {:.2} m at ({x:.2} {y:.2} {z:.2})",
-        nearest(&view).unwrap()
-    );
-    assert!(done && said.ends_with(&expected), "{said}, not {expected}");
-    assert!(
-        said.starts_with(&format!("file {}:", view.header.sequence)),
-        "{said}"
-    );
-    std::fs::write(&file, &sweep.as_ref()[..1000]).unwrap();
-    let (done, _, error) = run(&[file.as_os_str()]);
-    assert!(!done && error.contains("too few bytes"), "{error}");
-
-    let message = objects::honest();
-    let message = objects::message(&message);
-    std::fs::write(&file, message).unwrap();
-    let args = ["--objects".as_ref(), file.as_os_str()];
-    let lines: Vec<String> = run(&args).1.lines().map(str::to_owned).collect();
-    check_object_lines(&lines, "file");
-    std::fs::write(&file, &message[..message.len() - 1]).unwrap();
-    let (done, _, error) = run(&args);
-    assert!(!done && error.contains("too few bytes"), "{error}");
-
-    let own = temp_domain();
-    for root in [own.root(), "/run/sweepd/iox2".as_ref(), "/a".as_ref()] {
-        let prefix = sweepd::publish::Domain::at(root).prefix();
-        assert_eq!(run(&["--prefix".as_ref(), root.as_os_str()]).1, prefix);
-    }
-    assert_eq!(
-        run(&["--owner".as_ref(), own.root().as_os_str()]).1,
-        "not there"
-    );
-    std::fs::create_dir(own.root()).unwrap();
-    assert_eq!(
-        run(&["--owner".as_ref(), own.root().as_os_str()]).1,
-        "this user's"
-    );
-    if std::os::unix::fs::chown(own.root(), Some(65_534), None).is_ok() {
-        let (done, _, error) = run(&["--owner".as_ref(), own.root().as_os_str()]);
-        assert!(!done && error.contains("belongs to user nobody"), "{error}");
-    }
-
-    let library = folder.join("library.cpp");
-    std::fs::write(&library, "#include \"iox2/iceoryx2.hpp\"\n").unwrap();
-    let mut probe = Command::new("c++");
-    let probe = probe
-        .args(["-std=c++17", "-fsyntax-only"])
-        .arg(&library)
-        .stderr(Stdio::null())
-        .status()
-        .unwrap();
-    if !probe.success() {
-        // No distribution has it and no registry: it is not asked for, not even under CI=true.
-        eprintln!(
-            "SKIPPED: iceoryx2's C++ headers are not installed (CPLUS_INCLUDE_PATH), consumer.cpp is compiled without"
-        );
-        return;
-    }
-    let mut whole = Command::new("c++");
-    let whole = whole
-        .args(["-std=c++17", "-Wall", "-Wextra", "-fsyntax-only"])
-        .arg(&source)
-        .output()
-        .unwrap();
-    assert!(
-        whole.status.success(),
-        "{}",
-        String::from_utf8_lossy(&whole.stderr)
-    );
+    run(&[
+        "-S".as_ref(),
+        "examples".as_ref(),
+        "-B".as_ref(),
+        build.as_ref(),
+        &prefix,
+    ]);
+    run(&["--build".as_ref(), build.as_ref()]);
+    build
 }
 
-/// The commands at the top of examples/CMakeLists.txt, on a machine without the binding: they warn,
-/// and the program checks a file.
 #[test]
 #[cfg_attr(without_compilers, ignore = "no compilers")]
-fn cmake_builds_the_cpp_consumer() {
-    let folder = folder("cmake");
-    let build = folder.join("build");
-    let mut configure = Command::new("cmake");
-    configure
-        .arg("-S")
-        .arg(of_project("examples"))
-        .arg("-B")
-        .arg(&build);
-    let configured = configure
-        .arg("-DCMAKE_DISABLE_FIND_PACKAGE_iceoryx2-cxx=ON")
+fn the_cpp_consumer_prints_a_line_a_sweep_and_ends_when_nothing_comes() {
+    let own = temp_domain();
+    let program = cpp_examples("cpp").join("consumer");
+    let args = ["roof", own.root().to_str().unwrap(), "--timeout", "1.5"].map(OsStr::new);
+    let mut consumer = Talk::start(program.as_os_str(), &args);
+    play_to(&consumer, &own, |sweep, line| {
+        let (line, point) = line.split_once(" at (").unwrap_or((line, ""));
+        // It does without the rate.
+        let (name, rest) = line.split_once(": ").expect(line);
+        let nearest = nearest(sweep);
+        let none = if nearest.is_none() {
+            ", nearest none"
+        } else {
+            ""
+        };
+        check_line(sweep, &format!("{name}: 1 Hz, {rest}{none}"));
+        let obstacles = sweep.returns().filter(|one| one.label >= 2);
+        let expected = obstacles.filter(|one| Some(one.range_m) == nearest);
+        let expected = expected
+            .map(|one| one.point_m)
+            .map(|[x, y, z]| format!("{x:.2} {y:.2} {z:.2})"));
+        assert!(nearest.is_none() || expected.collect::<Vec<_>>().contains(&point.to_owned()));
+    });
+    assert_eq!(consumer.end().code(), Some(1), "nothing comes any more");
+    let own = temp_domain();
+    let _loans = loans(&own);
+    let output = Command::new(&program)
+        .args(["typo", own.root().to_str().unwrap(), "--timeout", "0.1"])
         .output()
         .unwrap();
-    let warning = String::from_utf8_lossy(&configured.stderr);
-    assert!(
-        configured.status.success() && warning.contains("iceoryx2-cxx 0.10 was not found"),
-        "{warning}"
-    );
-    let built = Command::new("cmake")
-        .arg("--build")
-        .arg(&build)
-        .output()
-        .unwrap();
-    assert!(
-        built.status.success(),
-        "{}",
-        String::from_utf8_lossy(&built.stderr)
-    );
-    let file = folder.join("sweep");
-    std::fs::write(
-        &file,
-        Source::StreetVlp16Dual.sweeps().swap_remove(1).as_ref(),
-    )
-    .unwrap();
-    let said = Command::new(build.join("consumer"))
-        .arg(&file)
-        .output()
-        .unwrap();
-    assert!(
-        said.status.success() && said.stdout.starts_with(b"file "),
-        "{said:?}"
-    );
+    let said = String::from_utf8_lossy(&output.stderr);
+    let expected = "consumer: typo was not published for 0.1 s; published: roof\n";
+    assert_eq!((output.status.code(), &*said), (Some(1), expected));
+    let mut consumer = Talk::start(program.as_os_str(), &["roof".as_ref(), own.root().as_ref()]);
+    assert_eq!(consumer.try_line(Duration::from_millis(200)), None);
+    interrupt(&consumer);
+    assert_eq!(consumer.end().signal(), Some(2));
+}
+
+#[test]
+#[cfg_attr(without_compilers, ignore = "no compilers")]
+fn the_cpp_consumer_prints_a_line_an_object() {
+    let own = temp_domain();
+    let program = cpp_examples("cpp_objects").join("consumer");
+    let mut loans = objects::loans(&own);
+    let args = ["--objects", "roof", own.root().to_str().unwrap()].map(OsStr::new);
+    let consumer = Talk::start(program.as_os_str(), &args);
+    publish_until_there(&mut loans, objects::message(&objects::honest()));
+    let lines: Vec<String> = (0..3).map(|_| consumer.line()).collect();
+    check_object_lines(&lines, "roof");
+}
+
+/// What Eigen's matrix and PCL's cloud have of a street. PCL is a stub of its interface, and Eigen
+/// Debian's.
+#[test]
+#[cfg_attr(
+    any(without_compilers, without_eigen),
+    ignore = "no compilers, or no Eigen"
+)]
+fn eigen_and_pcl_have_every_return() {
+    let folder = folder("eigen_and_pcl");
+    let build = |name: &str, include: &Path| {
+        let program = folder.join(name);
+        let source = of_project("examples").join(name).with_extension("cpp");
+        let include = format!("-isystem{}", include.display());
+        compile("c++", &["-std=c++17", &include], &source, &program);
+        program
+    };
+    let eigen = build("eigen", Path::new("/usr/include/eigen3"));
+    let pcl = build("pcl", &of_project("tests/consumers/pcl_stub"));
+    let own = temp_domain();
+    let consumer = Talk::start(eigen.as_os_str(), &["roof".as_ref(), own.root().as_ref()]);
+    play_to(&consumer, &own, |sweep, line| {
+        let first = sweep
+            .range
+            .iter()
+            .filter(|&&range_m| is_return(range_m))
+            .count();
+        let mount = Pose::of_mount(sweep.header);
+        let obstacles = sweep.returns().filter(|one| one.label >= 2);
+        let points: Vec<[f64; 3]> = obstacles.map(|one| mount.apply(one.point_m)).collect();
+        let begins = format!(
+            "{}: {first} pixels, {} of obstacles",
+            sweep.header.sequence,
+            points.len()
+        );
+        let rest = line
+            .strip_prefix(&begins)
+            .unwrap_or_else(|| panic!("{line}, not {begins}"));
+        let Some(nearest) = points
+            .into_iter()
+            .min_by(|a, b| length(*a).total_cmp(&length(*b)))
+        else {
+            return assert_eq!(rest, "");
+        };
+        let said = rest
+            .strip_prefix(", nearest at")
+            .unwrap()
+            .split_whitespace();
+        for (axis, said) in nearest.iter().zip(said) {
+            assert!(
+                (axis - said.parse::<f64>().unwrap()).abs() < 1e-3,
+                "{line}, {nearest:?}"
+            );
+        }
+    });
+    let own = temp_domain();
+    let consumer = Talk::start(pcl.as_os_str(), &["roof".as_ref(), own.root().as_ref()]);
+    play_to(&consumer, &own, |sweep, line| {
+        let first = sweep
+            .range
+            .iter()
+            .filter(|&&range_m| is_return(range_m))
+            .count();
+        let (columns, rows) = (sweep.columns.len(), sweep.rows());
+        let expected = format!(
+            "{}: {columns} x {rows}, {first} points",
+            sweep.header.sequence
+        );
+        assert_eq!(line, expected);
+    });
 }
