@@ -71,8 +71,8 @@ int follow(Client& client, const std::string& name, const std::string& root, dou
         std::fflush(stdout);
     }
     if (how == sweepd::Next::interrupted) return 0;
-    const bool is_silent = how == sweepd::Next::timeout;
-    std::fprintf(stderr, "consumer: %s %s for %g s; published:", name.c_str(), is_silent ? "was silent" : "was not published", limit_s);
+    const char* why = how == sweepd::Next::unpublished ? ", which nobody publishes" : "";
+    std::fprintf(stderr, "consumer: for %g s nothing came of %s%s; published:", limit_s, name.c_str(), why);
     const auto sensors = sweepd::sensors(root);
     for (const std::string& other : sensors) std::fprintf(stderr, " %s", other.c_str());
     std::fprintf(stderr, sensors.empty() ? " nothing\n" : "\n");

@@ -7,6 +7,8 @@
 //! under `CI=true` they fail.
 
 mod common;
+#[path = "consumers/fields.rs"]
+mod fields;
 #[path = "consumers/hostile.rs"]
 mod hostile;
 #[path = "consumers/library.rs"]
@@ -23,6 +25,9 @@ mod programs;
 mod python;
 #[path = "consumers/refusals.rs"]
 mod refusals;
+#[allow(dead_code)]
+#[path = "../crates/sweepd-sweep/tests/fields/source.rs"]
+mod source;
 #[path = "consumers/sweeps.rs"]
 mod sweeps;
 #[path = "consumers/wall.rs"]

@@ -68,7 +68,7 @@ pub fn message(words: &[u64]) -> &[u8] {
     &words.as_bytes()[..counted]
 }
 
-fn view<'a>(message: &'a [u8]) -> ObjectsRef<'a> {
+pub fn view<'a>(message: &'a [u8]) -> ObjectsRef<'a> {
     let (header, _) = ObjectsHeader::ref_from_prefix(message).unwrap();
     ObjectsRef::with_header(header, message).unwrap()
 }

@@ -21,7 +21,7 @@ use super::{folder, of_project};
 use sweepd_lab::testkit::TempDomain;
 
 /// Longer than anything here takes on a busy machine.
-const LIMIT: Duration = Duration::from_secs(60);
+pub const LIMIT: Duration = Duration::from_secs(60);
 
 /// A program that says JSON, line by line; it ends with this.
 pub struct Talk {

@@ -12,6 +12,7 @@ mod full;
 mod injected;
 mod killed;
 mod random;
+mod torn;
 #[allow(dead_code)]
 #[path = "../resource/world.rs"]
 mod world;

@@ -1,8 +1,10 @@
 //! SIGKILL at random times.
 
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 use crate::setup::{Process, SOON, sweepd};
+use crate::torn::Torn;
 use crate::{LIMIT, Robot, SETTLE, count, files, no_more};
 
 /// Environment variable: how many consumers `random_kills` kills; a fifth as many daemons.
@@ -25,10 +27,17 @@ fn soon(random: &mut fastrand::Rng) -> Instant {
     Instant::now() + Duration::from_millis(random.u64(0..LIVES_MS))
 }
 
-/// Kills consumers and daemons, and prints what the others saw of it.
+/// A consumer that will be killed: in Rust or, where it was compiled, in C.
+fn victim(robot: &Robot, torn: Option<&Torn>) -> Command {
+    torn.map_or_else(|| sweepd(&robot.setup.watch_args()), Torn::watch)
+}
+
+/// Kills consumers and daemons, and prints what the others saw of it. Those in C and a client in Rust
+/// compare all sweeps that they get.
 fn kill(consumers: usize, daemons: usize) {
     let mut random = fastrand::Rng::with_seed(1);
     let mut robot = Robot::start();
+    let torn = cfg!(not(without_compilers)).then(|| Torn::start(&robot.setup));
     std::thread::sleep(SETTLE);
     let (begun, before) = (Instant::now(), files(&robot.setup));
     let (mut consumers_left, mut daemons_left) = (consumers, daemons);
@@ -72,7 +81,8 @@ fn kill(consumers: usize, daemons: usize) {
             victim.wait();
         }
         if victims.len() < VICTIMS - usize::from(dies.is_some()) && consumers_left > 0 {
-            let mut command = sweepd(&robot.setup.watch_args());
+            let is_c = consumers_left % 2 == 0;
+            let mut command = victim(&robot, torn.as_ref().filter(|_| is_c));
             command.stdout(std::process::Stdio::null());
             victims.push(Doomed(
                 Process::spawn(command, &robot.setup.path("watch.log")),
@@ -87,6 +97,7 @@ fn kill(consumers: usize, daemons: usize) {
         .unwrap_or_else(|error| panic!("{error}; {}", robot.logs()));
     std::thread::sleep(SETTLE);
     let after = files(&robot.setup);
+    let compared = torn.map_or(0, Torn::end);
     let times: Vec<Instant> = robot
         .steady
         .times()
@@ -98,8 +109,8 @@ fn kill(consumers: usize, daemons: usize) {
     let (median, slowest) = (restarts[restarts.len() / 2], restarts[restarts.len() - 1]);
     eprintln!(
         "{consumers} consumers and {daemons} daemons killed in {:.0?}; sweeps of a restarted daemon after {median:.0?} \
-         (median), {slowest:.0?} (at most); the steady consumer got {} sweeps, its longest gap is {gap:.0?}; files {} \
-         before, {} after",
+         (median), {slowest:.0?} (at most); the steady consumer got {} sweeps, its longest gap is {gap:.0?}; {compared} sweeps \
+         are the same in C and Rust; files {} before, {} after",
         begun.elapsed(),
         times.len(),
         count(&before),

@@ -321,9 +321,8 @@ pub unsafe extern "C" fn sweepd_client_attribute(
         let (followed, key) = unsafe { (lock(client)?, bytes(key)) };
         let key = String::from_utf8_lossy(key.unwrap_or_default());
         let found = followed.subscriber().attribute(&key);
-        let found = found.ok_or("it is not known, or not yet")?;
-        // SAFETY: as the caller promises.
-        Ok(unsafe { put(&found, text, capacity) })
+        // SAFETY: as the caller promises. That there is none is no failure.
+        Ok(found.map_or(NO_LENGTH, |found| unsafe { put(&found, text, capacity) }))
     })
 }
 
