@@ -72,9 +72,9 @@ int follow(Client& client, const std::string& name, const std::string& root, dou
     }
     if (how == sweepd::Next::interrupted) return 0;
     const char* why = how == sweepd::Next::unpublished ? ", which nobody publishes" : "";
-    std::fprintf(stderr, "consumer: for %g s nothing came of %s%s; published:", limit_s, name.c_str(), why);
+    std::fprintf(stderr, "consumer: for %g s nothing came of %s%s; there is:", limit_s, name.c_str(), why);
     const auto sensors = sweepd::sensors(root);
-    for (const std::string& other : sensors) std::fprintf(stderr, " %s", other.c_str());
+    for (const std::string& sensor : sensors) std::fprintf(stderr, " %s", sensor.c_str());
     std::fprintf(stderr, sensors.empty() ? " nothing\n" : "\n");
     return 1;
 }

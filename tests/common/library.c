@@ -106,6 +106,7 @@ static int talk(const char *name, const char *root, const char *folder, int is_o
         printf("{\"next\":-1");
         say_text("error", sweepd_error());
         printf("}\n");
+        return 0;
     }
     while (fgets(line, sizeof line, stdin) != NULL) {
         if (strncmp(line, "sensors", 7) == 0) {

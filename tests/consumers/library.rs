@@ -57,9 +57,10 @@ fn c_gets_the_bytes_where_the_decoder_wrote_them_and_counts_as_rust_does() {
     assert_eq!(next(&mut c, 0)["next"], UNPUBLISHED);
     let mut loans = loans(&own);
     let mut said = next(&mut c, 0);
+    // The memory is there with the first sweep.
     assert_eq!(
-        (&said["next"], &said["model"]),
-        (&json!(TIMEOUT), &json!("VLP-16"))
+        (&said["next"], &said["connected"], &said["model"]),
+        (&json!(UNPUBLISHED), &json!(1), &json!("VLP-16"))
     );
     assert!(client.next(Duration::ZERO).unwrap().received().is_none());
     // Of seven that come at once, both get two.
@@ -78,6 +79,7 @@ fn c_gets_the_bytes_where_the_decoder_wrote_them_and_counts_as_rust_does() {
     assert_eq!((&said["missed"], &said["waits"]), (&json!(5), &json!(1)));
     assert_eq!(client.missed(), 5);
     assert_eq!(next(&mut c, SOON_MS)["waits"], 0);
+    assert_eq!(next(&mut c, 1)["next"], TIMEOUT);
     client.next(SOON).unwrap().received().unwrap();
     let mut sweeps = 0;
     Source::StreetVlp16Dual.play(loans, |slot| {

@@ -424,7 +424,7 @@ fn the_cpp_consumer_prints_a_line_a_sweep_and_ends_when_nothing_comes() {
         .unwrap();
     let said = String::from_utf8_lossy(&output.stderr);
     let expected =
-        "consumer: for 0.1 s nothing came of typo, which nobody publishes; published: roof\n";
+        "consumer: for 0.1 s nothing came of typo, which nobody publishes; there is: roof\n";
     assert_eq!((output.status.code(), &*said), (Some(1), expected));
     let mut consumer = Talk::start(program.as_os_str(), &["roof".as_ref(), own.root().as_ref()]);
     assert_eq!(consumer.try_line(Duration::from_millis(200)), None);
