@@ -7,6 +7,7 @@
 #include <pcl/point_cloud.h>
 #include <pcl/point_types.h>
 
+#include <cmath>
 #include <iostream>
 #include <limits>
 
@@ -51,8 +52,20 @@ int main(int argc, char** argv) try {
     for (const sweepd::Sweep& sweep : client) {
         const auto cloud = cloud_of(sweep);
         std::size_t points = 0;
-        for (const pcl::PointXYZI& point : cloud.points) points += point.x == point.x;
-        std::cout << sweep.header().sequence << ": " << cloud.width << " x " << cloud.height << ", " << points << " points" << std::endl;
+        float least_m = std::numeric_limits<float>::infinity();
+        pcl::PointXYZI nearest;
+        for (const pcl::PointXYZI& point : cloud.points) {
+            const float distance_m = std::hypot(point.x, point.y, point.z);
+            if (std::isnan(distance_m)) continue;
+            ++points;
+            if (distance_m < least_m) {
+                least_m = distance_m;
+                nearest = point;
+            }
+        }
+        std::cout << sweep.header().sequence << ": " << cloud.width << " x " << cloud.height << ", " << points << " points";
+        if (points > 0) std::cout << ", nearest at " << nearest.x << " " << nearest.y << " " << nearest.z;
+        std::cout << std::endl;
     }
 } catch (const sweepd::Error& error) {
     std::cerr << "pcl: " << error.what() << "\n";

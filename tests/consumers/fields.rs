@@ -5,7 +5,7 @@
 use std::collections::BTreeSet;
 use std::ffi::OsStr;
 use std::fmt::{Debug, Write as _};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
@@ -486,35 +486,53 @@ fn received(program: &Path, args: &[&OsStr], mut publish: impl FnMut()) -> Strin
     }
 }
 
+/// The programs in C, C++ and Python.
+struct Readers {
+    folder: PathBuf,
+}
+
+impl Readers {
+    fn new(table: &Table, test: &str) -> Self {
+        let folder = folder(test);
+        let write = |name: &str, content: &str| {
+            let path = folder.join(name);
+            std::fs::write(&path, content).unwrap();
+            path
+        };
+        let source = write("fields.c", &c_program(table));
+        compile("cc", &["-std=c99"], &source, &folder.join("C"));
+        let source = write("fields.cpp", &cpp_program(table));
+        compile("c++", &["-std=c++17"], &source, &folder.join("C++"));
+        write("fields.py", PYTHON);
+        write("fields.mjs", SCRIPT);
+        Self { folder }
+    }
+
+    /// Compares what they say of what `publish` sends, and of the same bytes in a file.
+    fn compare(&self, args: &[&OsStr], bytes: &[u8], expected: &str, mut publish: impl FnMut()) {
+        for language in ["C", "C++"] {
+            let found = received(&self.folder.join(language), args, &mut publish);
+            compare(language, &found, expected);
+        }
+        std::fs::write(self.folder.join("bytes"), bytes).unwrap();
+        let mut python = Command::new(python_with_numpy());
+        python
+            .arg(self.folder.join("fields.py"))
+            .arg(self.folder.join("bytes"))
+            .args(&args[1..])
+            .env("PYTHONPATH", PYTHON_PACKAGE);
+        compare("Python", &said(&mut python), expected);
+    }
+}
+
 #[test]
 #[cfg_attr(
     any(without_python, without_compilers, without_node),
     ignore = "no SWEEPD_PYTHON, no compilers, or no node"
 )]
-fn every_language_has_every_field() {
+fn every_language_has_every_field_of_a_sweep() {
     let table = Table::read(&of_project(""));
-    let folder = folder("fields");
-    let write = |name: &str, content: &str| {
-        let path = folder.join(name);
-        std::fs::write(&path, content).unwrap();
-        path
-    };
-    let (c, cpp) = (folder.join("c"), folder.join("cpp"));
-    let source = write("fields.c", &c_program(&table));
-    compile("cc", &["-std=c99"], &source, &c);
-    let source = write("fields.cpp", &cpp_program(&table));
-    compile("c++", &["-std=c++17"], &source, &cpp);
-    let python = write("fields.py", PYTHON);
-    let python = |args: &[&Path]| {
-        let mut command = Command::new(python_with_numpy());
-        said(
-            command
-                .arg(&python)
-                .args(args)
-                .env("PYTHONPATH", PYTHON_PACKAGE),
-        )
-    };
-
+    let readers = Readers::new(&table, "fields");
     let own = temp_domain();
     let bytes = sweep(&table);
     let mut sweeps = loans(&own);
@@ -528,6 +546,7 @@ fn every_language_has_every_field() {
     publish();
     let sweep = client.next(LIMIT).unwrap().received().unwrap();
     let expected = rust_of_sweep(&table, &sweep.view().unwrap());
+    drop((sweep, client));
     // All values differ: a swapped one would show.
     let is_free = |line: &&str| {
         let place = line.strip_prefix("header.").unwrap_or("magic");
@@ -539,23 +558,25 @@ fn every_language_has_every_field() {
         values.len() > 30 && different.len() == values.len(),
         "{values:#?}"
     );
-    drop((sweep, client));
-    let file = folder.join("sweep");
-    std::fs::write(&file, &bytes).unwrap();
-    for (language, program) in [("C", &c), ("C++", &cpp)] {
-        let found = received(program, &[own.root().as_os_str()], &mut publish);
-        compare(language, &found, &expected);
-    }
-    compare("Python", &python(&[&file]), &expected);
-    let page = of_project("crates/sweepd-tools/src/view/page/sweep.js");
-    std::fs::copy(page, folder.join("sweep.mjs")).unwrap();
-    let script = write("fields.mjs", SCRIPT);
-    compare(
-        "JavaScript",
-        &said(Command::new("node").arg(script).arg(&file)),
-        &expected,
-    );
 
+    readers.compare(&[own.root().as_os_str()], &bytes, &expected, &mut publish);
+    let page = of_project("crates/sweepd-tools/src/view/page/sweep.js");
+    std::fs::copy(page, readers.folder.join("sweep.mjs")).unwrap();
+    let mut node = Command::new("node");
+    node.args(["fields.mjs", "bytes"])
+        .current_dir(&readers.folder);
+    compare("JavaScript", &said(&mut node), &expected);
+}
+
+#[test]
+#[cfg_attr(
+    any(without_python, without_compilers),
+    ignore = "no SWEEPD_PYTHON, or no compilers"
+)]
+fn every_language_has_every_field_of_objects() {
+    let table = Table::read(&of_project(""));
+    let readers = Readers::new(&table, "fields_of_objects");
+    let own = temp_domain();
     let words = message(&table);
     let message = objects::message(&words);
     let view = objects::view(message);
@@ -580,13 +601,8 @@ fn every_language_has_every_field() {
         label.to_string()
     });
     let mut told = objects::loans(&own);
-    for (language, program) in [("C", &c), ("C++", &cpp)] {
-        let args = [own.root().as_os_str(), "objects".as_ref()];
-        let found = received(program, &args, || {
-            objects::publish(&mut told, message);
-        });
-        compare(language, &found, &expected);
-    }
-    std::fs::write(&file, message).unwrap();
-    compare("Python", &python(&[&file, "objects".as_ref()]), &expected);
+    let args = [own.root().as_os_str(), "objects".as_ref()];
+    readers.compare(&args, message, &expected, || {
+        objects::publish(&mut told, message);
+    });
 }

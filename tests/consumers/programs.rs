@@ -41,7 +41,10 @@ fn play_to(consumer: &Talk, own: &TempDomain, mut check: impl FnMut(&SweepRef<'_
     }
     while consumer.try_line(Duration::from_millis(300)).is_some() {}
     let mut sweeps = 0;
-    Source::StreetVlp16Dual.play(loans, |slot| {
+    Source::StreetVlp16Dual.play(loans, |mut slot| {
+        let sweep = SweepMut::open(slot.as_mut()).unwrap();
+        (sweep.header.yaw_rad, sweep.header.pitch_rad) = (1.0, 0.1);
+        sweep.header.position_m = [0.5, -8.0, 1.9];
         let bytes = slot.as_ref().to_vec();
         slot.publish().unwrap();
         let mut copy = sweepd::buffers::Buffers::take(
@@ -445,28 +448,49 @@ fn the_cpp_consumer_prints_a_line_an_object() {
     check_object_lines(&lines, "roof");
 }
 
-/// What Eigen's matrix and PCL's cloud have of a street. PCL is a stub of its interface, and Eigen
-/// Debian's.
+/// Compiles an example in C++, with the headers of another library.
+fn cpp_example(name: &str, include: &Path) -> PathBuf {
+    let program = folder(name).join(name);
+    let source = of_project("examples").join(name).with_extension("cpp");
+    let include = format!("-isystem{}", include.display());
+    compile("c++", &["-std=c++17", &include], &source, &program);
+    program
+}
+
+/// A line that says how many points there are, and which is the nearest.
+#[track_caller]
+fn check_points(line: &str, begins: &str, points: impl Iterator<Item = [f64; 3]>) {
+    let rest = line.strip_prefix(begins);
+    let rest = rest.unwrap_or_else(|| panic!("{line}, not {begins}"));
+    let Some(nearest) = points.min_by(|one, other| length(*one).total_cmp(&length(*other))) else {
+        return assert_eq!(rest, "");
+    };
+    let said = rest
+        .strip_prefix(", nearest at")
+        .unwrap()
+        .split_whitespace();
+    let said: Vec<f64> = said.map(|axis| axis.parse().unwrap()).collect();
+    let off = nearest
+        .iter()
+        .zip(&said)
+        .map(|(axis, said)| (axis - said).abs());
+    assert!(
+        said.len() == 3 && off.fold(0.0, f64::max) < 1e-3,
+        "{line}, not {nearest:?}"
+    );
+}
+
 #[test]
 #[cfg_attr(
     any(without_compilers, without_eigen),
     ignore = "no compilers, or no Eigen"
 )]
-fn eigen_and_pcl_have_every_return() {
-    let folder = folder("eigen_and_pcl");
-    let build = |name: &str, include: &Path| {
-        let program = folder.join(name);
-        let source = of_project("examples").join(name).with_extension("cpp");
-        let include = format!("-isystem{}", include.display());
-        compile("c++", &["-std=c++17", &include], &source, &program);
-        program
-    };
-    let eigen = build("eigen", Path::new("/usr/include/eigen3"));
-    let pcl = build("pcl", &of_project("tests/consumers/pcl_stub"));
+fn eigen_has_the_image_and_the_obstacles_in_the_frame_of_the_robot() {
+    let eigen = cpp_example("eigen", Path::new("/usr/include/eigen3"));
     let own = temp_domain();
     let consumer = Talk::start(eigen.as_os_str(), &["roof".as_ref(), own.root().as_ref()]);
     play_to(&consumer, &own, |sweep, line| {
-        let first = sweep
+        let pixels = sweep
             .range
             .iter()
             .filter(|&&range_m| is_return(range_m))
@@ -474,44 +498,28 @@ fn eigen_and_pcl_have_every_return() {
         let mount = Pose::of_mount(sweep.header);
         let obstacles = sweep.returns().filter(|one| one.label >= 2);
         let points: Vec<[f64; 3]> = obstacles.map(|one| mount.apply(one.point_m)).collect();
-        let begins = format!(
-            "{}: {first} pixels, {} of obstacles",
-            sweep.header.sequence,
-            points.len()
-        );
-        let rest = line
-            .strip_prefix(&begins)
-            .unwrap_or_else(|| panic!("{line}, not {begins}"));
-        let Some(nearest) = points
-            .into_iter()
-            .min_by(|a, b| length(*a).total_cmp(&length(*b)))
-        else {
-            return assert_eq!(rest, "");
-        };
-        let said = rest
-            .strip_prefix(", nearest at")
-            .unwrap()
-            .split_whitespace();
-        for (axis, said) in nearest.iter().zip(said) {
-            assert!(
-                (axis - said.parse::<f64>().unwrap()).abs() < 1e-3,
-                "{line}, {nearest:?}"
-            );
-        }
+        let (sequence, count) = (sweep.header.sequence, points.len());
+        let begins = format!("{sequence}: {pixels} pixels, {count} of obstacles");
+        check_points(line, &begins, points.into_iter());
     });
+}
+
+/// Against a stub of PCL's interface.
+#[test]
+#[cfg_attr(without_compilers, ignore = "no compilers")]
+fn pcl_has_a_point_a_pixel_in_the_axes_of_ros() {
+    let pcl = cpp_example("pcl", &of_project("tests/consumers/pcl_stub"));
     let own = temp_domain();
     let consumer = Talk::start(pcl.as_os_str(), &["roof".as_ref(), own.root().as_ref()]);
     play_to(&consumer, &own, |sweep, line| {
-        let first = sweep
-            .range
-            .iter()
-            .filter(|&&range_m| is_return(range_m))
-            .count();
-        let (columns, rows) = (sweep.columns.len(), sweep.rows());
-        let expected = format!(
-            "{}: {columns} x {rows}, {first} points",
-            sweep.header.sequence
-        );
-        assert_eq!(line, expected);
+        let (rows, columns) = (sweep.rows(), sweep.columns.len());
+        let pose = Pose::ROS * Pose::of_mount(sweep.header);
+        let pixels = sweep.range.iter().enumerate();
+        let returns = pixels.filter(|(_, range_m)| is_return(**range_m));
+        let points = returns.map(|(at, &range_m)| sweep.point_m(at % rows, at / rows, range_m));
+        let points: Vec<[f64; 3]> = points.map(|point| pose.apply(point)).collect();
+        let (sequence, count) = (sweep.header.sequence, points.len());
+        let begins = format!("{sequence}: {columns} x {rows}, {count} points");
+        check_points(line, &begins, points.into_iter());
     });
 }
