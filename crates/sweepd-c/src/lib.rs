@@ -47,6 +47,7 @@ pub struct Handle(Mutex<Followed>);
 
 /// `sweepd_sample`: a sweep, or a message of objects. It keeps the memory that it is in, and so may
 /// outlive its client.
+#[allow(clippy::large_enum_variant, reason = "a sample is in a box of its own")]
 pub enum Sample {
     /// A sweep.
     Sweep(Sweep),
@@ -251,8 +252,8 @@ pub unsafe extern "C" fn sweepd_client_next(
 /// NULL, or a client that is not closed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sweepd_client_has_next(client: *mut Handle) -> i32 {
-    // SAFETY: as the caller promises.
     caught(0, || {
+        // SAFETY: as the caller promises.
         Ok(unsafe { lock(client) }?.subscriber().has_next().into())
     })
 }
@@ -286,8 +287,8 @@ pub unsafe extern "C" fn sweepd_client_reopened(client: *mut Handle) -> u64 {
 /// NULL, or a client that is not closed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sweepd_client_is_connected(client: *mut Handle) -> i32 {
-    // SAFETY: as the caller promises.
     caught(0, || {
+        // SAFETY: as the caller promises.
         Ok(unsafe { lock(client) }?.subscriber().is_connected().into())
     })
 }
@@ -298,8 +299,8 @@ pub unsafe extern "C" fn sweepd_client_is_connected(client: *mut Handle) -> i32 
 /// NULL, or a client that is not closed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sweepd_client_is_published(client: *mut Handle) -> i32 {
-    // SAFETY: as the caller promises.
     caught(0, || {
+        // SAFETY: as the caller promises.
         Ok(unsafe { lock(client) }?.subscriber().is_published().into())
     })
 }
