@@ -9,17 +9,21 @@
     for message in sweepd.Client("roof").objects():          # objects while the head turns
         boxes = message.boxes("robot")                       # least and greatest x, y, z
 
-`Sweep` says what there is of a sweep. Lengths are metres, angles radians, times nanoseconds since 1970; images are
-arrays of (columns, rows), the highest beam first. `sweepd.layout` has the numbers of docs/layout.md.
+`sensors` names what is published on this host, `Sweep` says what there is of a sweep. Lengths are metres, angles
+radians, times nanoseconds since 1970; images are arrays of (columns, rows), the highest beam first. `sweepd.layout` has
+the numbers of docs/layout.md.
 """
 
 from . import layout
 from ._client import Client
 from ._header import ROS
+from ._library import sensors
 from ._objects import Objects, ObjectsMessage
 from ._replay import replay
 from ._sweep import Sweep
 from .layout import LayoutError, SweepdError
 
 __version__ = "0.3.0"
-__all__ = ["ROS", "Client", "LayoutError", "Objects", "ObjectsMessage", "Sweep", "SweepdError", "layout", "replay"]
+__all__ = [
+    "ROS", "Client", "LayoutError", "Objects", "ObjectsMessage", "Sweep", "SweepdError", "layout", "replay", "sensors",
+]  # fmt: skip

@@ -6,26 +6,32 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from . import layout
+from . import _show, layout
+from ._followed import Followed
 from ._header import Floats, Frame, Headed
-from ._service import Followed
 from .layout import LABEL, OBJECT, OBJECTS_HEADER
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from ._client import Client
 
 
 class ObjectsMessage(Headed):
     """Objects of one sweep that became known together. Its memory is this program's own: it may be kept."""
 
     header: Any
-    """A copy of the header: a record of `layout.OBJECTS_HEADER`, as in `message.header["sent_ns"]`."""
     objects: NDArray[np.void]
-    """(objects,) records of `layout.OBJECT`; `objects["segment"]` are as in the table of segments, metres in the axes of
-    the sensor."""
     labels: NDArray[np.uint32]
-    """Labels of objects of the sweep, from that with the ordinal `header["first_label"]` on: in the last messages of a
-    sweep. 0 where a late packet has changed the object."""
+
+    # So that help() has them.
+    __slots__ = {  # noqa: RUF023
+        "header": "A copy of the header: a record of `layout.OBJECTS_HEADER`, as in `message.header['sent_ns']`.",
+        "objects": "(objects,) records of `layout.OBJECT`: `segment` as in the table of segments, metres in the frame of"
+        " the sensor, `why` it is told, azimuths in radians, times in nanoseconds since the header's.",
+        "labels": "(labels,) u32, labels of objects of the sweep, from that with the ordinal `header['first_label']` on: in"
+        " the last messages of a sweep. 0 where a late packet has changed the object.",
+    }
 
     def __init__(self, data: Any) -> None:
         """Check and copy `data`, the bytes of a message: an array of u8, or what NumPy takes for one.
@@ -41,6 +47,27 @@ class ObjectsMessage(Headed):
         told.flags.writeable = False
         self.objects = told[:of_objects].view(OBJECT)
         self.labels = told[of_objects:].view(LABEL)
+
+    def __repr__(self) -> str:
+        """Say of which sweep it is and what is in it."""
+        return f"<sweepd.ObjectsMessage {_show.one_line(self._told())}>"
+
+    def _repr_html_(self) -> str:
+        """Give a table, for notebooks."""
+        return _show.table("ObjectsMessage", self._told())
+
+    def _told(self) -> dict[str, str]:
+        """What is said of it."""
+        nearest_m = self.objects["segment"]["nearest_m"]
+        return {
+            "sensor": self.name,
+            "sequence": str(self.sequence),
+            "sent": _show.time(self.header["sent_ns"]),
+            "objects": str(len(self.objects)),
+            "nearest": f"{nearest_m.min():.2f} m" if len(nearest_m) else "none",
+            "labels": str(len(self.labels)),
+            "last": "yes" if self.is_last else "no",
+        }
 
     @property
     def is_last(self) -> bool:
@@ -78,6 +105,10 @@ class Objects(Followed[ObjectsMessage]):
     """
 
     _topic = "objects"
+
+    def __init__(self, client: Client) -> None:
+        """Follow the objects of a client's sensor: `client.objects()`."""
+        super().__init__(client.name, client.root, client._opened.call("objects"))
 
     def _received(self, data: NDArray[np.uint8]) -> ObjectsMessage:
         return ObjectsMessage(data)

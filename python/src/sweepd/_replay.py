@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import tempfile
+from importlib import metadata
 from typing import TYPE_CHECKING, Any, Union
 
 import numpy as np
@@ -24,17 +25,20 @@ LOG = logging.getLogger("sweepd")
 def replay(
     capture: str | os.PathLike[str], *, binary: str | os.PathLike[str] | None = None, **options: Option
 ) -> Iterator[Sweep]:
-    """Give the sweeps of a capture, one after the other, none left out; their memory is this program's own.
+    """Give the sweeps of a capture, one after the other, none left out; their memory is this program's own, to write to.
 
-    Runs `sweepd replay`, found as `binary`, else as the variable SWEEPD, else in PATH; it ends with the iterator. Each
-    of `options` is an option of that command: `replay("x.pcap", start=10, return_="last", partial=True,
-    sensor=["192.168.1.201"])`. What it notes goes to the log `sweepd`. Raises `SweepdError` with what it says when it
-    fails, after the sweeps that came before.
+    Runs `sweepd replay`, found as `binary`, else as the variable SWEEPD, else in the wheel of this package, else in PATH.
+    It ends with the iterator. Each of `options` is an option of that command: `replay("x.pcap", start=10, return_="last",
+    partial=True, sensor=["192.168.1.201"])`. What it notes goes to the log `sweepd`. Raises `SweepdError` with what it says
+    when it fails, after the sweeps that came before; also of a capture that has no whole turn, unless `partial` is given.
     """
     command = [_program(binary), "replay", "--raw=-", *_arguments(options), "--", os.fspath(capture)]
     with tempfile.TemporaryFile() as said:
         try:
-            child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said)
+            # Ctrl-C in a terminal is this program's alone, which ends the other.
+            child = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said, start_new_session=True
+            )
         except OSError as error:
             raise SweepdError(f"cannot run {command[0]}: {error.strerror}") from error
         with child:
@@ -44,6 +48,7 @@ def replay(
             except BaseException:
                 # The caller has enough, or these are no sweeps.
                 child.kill()
+                child.wait()
                 raise
         said.seek(0)
         text = said.read().decode(errors="replace").strip()
@@ -54,10 +59,22 @@ def replay(
 
 
 def _program(binary: str | os.PathLike[str] | None) -> str:
-    program = binary or os.environ.get("SWEEPD") or shutil.which("sweepd")
+    program = binary or os.environ.get("SWEEPD") or _of_wheel() or shutil.which("sweepd")
     if program is None:
-        raise SweepdError("no program `sweepd` in PATH: install it, name it in the variable SWEEPD, or give `binary`")
+        raise SweepdError(
+            "no program `sweepd` in PATH, nor in this package: install a wheel of sweepd that is made for this machine, "
+            "name the program in the variable SWEEPD, or give `binary`"
+        )
     return os.fspath(program)
+
+
+def _of_wheel() -> str | None:
+    """The program that came with this package: PATH has not that of a venv that is not activated."""
+    try:
+        files = metadata.files("sweepd") or []
+    except metadata.PackageNotFoundError:
+        return None
+    return next((os.path.realpath(file.locate()) for file in files if file.parts[-2:] == ("bin", "sweepd")), None)
 
 
 def _arguments(options: dict[str, Any]) -> list[str]:

@@ -7,47 +7,57 @@ from typing import Any, Callable, Union
 import numpy as np
 from numpy.typing import NDArray
 
-from . import layout
+from . import _show, layout
 from ._header import Floats, Frame, Headed
 from .layout import BEAM, COLUMN, SEGMENT
 
 XYZ = tuple[Floats, Floats, Floats]
 PoseAt = Union[Floats, Callable[[NDArray[np.int64]], Floats]]
 
+# Bits of `header["flags"]`, but CIRCULAR, which each whole turn has.
+FLAGS = (
+    "PARTIAL", "REVERSED", "BLANKED", "RATE_UNSTABLE", "STOPPED", "BLIND", "COVERED", "FROZEN", "FADED", "DARK_BELOW",
+)  # fmt: skip
 ALL = slice(None)
 # What is computed at once: 64 KiB an array of f64.
 BLOCK_PIXELS = 1 << 13
 
 
 class Sweep(Headed):
-    """One sweep: read-only views of its bytes, trimmed to the columns and segments that there are.
+    """One sweep: views of its bytes, trimmed to the columns and segments that there are.
 
-    A view keeps the memory of its sweep, so that its values never change. In a `Client` that memory is the daemon's, and
-    it gives at most two sweeps at a time: `copy` makes one that may stay.
+    A view keeps the memory of its sweep. In a `Client` that memory is the daemon's: it is read-only and never changes, and
+    it gives at most two sweeps at a time: `copy` makes one that may stay. What `replay` and `copy` give may be written to.
     """
 
     header: Any
-    """A copy of the header: a record, by the names of docs/layout.md, as in `sweep.header["rpm"]`."""
     range: NDArray[np.float32]
-    """(columns, rows), metres along the beam; 0 = no return."""
     reflectivity: NDArray[np.uint8]
-    """(columns, rows), calibrated."""
     label: NDArray[np.uint32]
-    """(columns, rows): 0 none, 1 ground, from 2 on the segment `segments[label - 2]`."""
     range2: NDArray[np.float32] | None
-    """The other return of a sensor that sends two, metres; else `None`, as the next three."""
     reflectivity2: NDArray[np.uint8] | None
-    """Calibrated reflectivity of the other return."""
     label2: NDArray[np.uint32] | None
-    """Label of the other return."""
     kind: NDArray[np.uint8] | None
-    """Which of two returns is in `range`: `layout.KIND_STRONGEST` and so on."""
     columns: NDArray[np.void]
-    """(columns,) records of `layout.COLUMN`: the firings."""
     beams: NDArray[np.void]
-    """(rows,) records of `layout.BEAM`, the highest beam first."""
     segments: NDArray[np.void]
-    """(segments,) records of `layout.SEGMENT`; metres in the frame of the sensor: `boxes` gives other ones."""
+
+    # So that help() has them.
+    __slots__ = {  # noqa: RUF023
+        "_data": "The bytes.",
+        "header": "A copy of the header: a record of `layout.HEADER`, as in `sweep.header['rpm']`.",
+        "range": "(columns, rows) f32, metres along the beam, the highest beam first; 0 = no return.",
+        "reflectivity": "(columns, rows) u8, calibrated.",
+        "label": "(columns, rows) u32: 0 none, 1 ground, from 2 on the segment `segments[label - 2]`.",
+        "range2": "As `range`, of the other return of a sensor that sends two; else `None`, as the next three.",
+        "reflectivity2": "As `reflectivity`, of the other return.",
+        "label2": "As `label`, of the other return.",
+        "kind": "(columns, rows) u8, which of two returns is in `range`: bits `layout.KIND_STRONGEST` and so on.",
+        "columns": "(columns,) records of `layout.COLUMN`, the firings: radians, nanoseconds since the header's time.",
+        "beams": "(rows,) records of `layout.BEAM`, the highest beam first: radians, nanoseconds, metres.",
+        "segments": "(segments,) records of `layout.SEGMENT`: points, box, mean and nearest return, metres in the frame"
+        " of the sensor (`boxes` gives others), and rows and columns.",
+    }
 
     def __init__(self, data: Any) -> None:
         """Check `data`, the bytes of a sweep: an array of u8, or what NumPy takes for one, such as a file's content.
@@ -56,9 +66,6 @@ class Sweep(Headed):
         """
         if not isinstance(data, np.ndarray):
             data = np.frombuffer(data, np.uint8)
-        if data.flags.writeable:
-            data = data.view()
-            data.flags.writeable = False
         self._data: NDArray[np.uint8] = data
         self.header = layout.checked_header(data)
         self.range = self._plane(layout.PART_RANGE, "<f4")
@@ -82,6 +89,27 @@ class Sweep(Headed):
     def _plane(self, part: int, dtype: str) -> Any:
         rows, columns, margin = (int(self.header[key]) for key in ("rows", "columns", "margin_columns"))
         return self._part(part, dtype, margin * rows, columns * rows).reshape(columns, rows)
+
+    def __repr__(self) -> str:
+        """Say which sweep it is and what is in it."""
+        return f"<sweepd.Sweep {_show.one_line(self._told())}>"
+
+    def _repr_html_(self) -> str:
+        """Give a table and a picture of the ranges, near ones bright, for notebooks."""
+        return _show.table("Sweep", self._told()) + _show.picture(self.range)
+
+    def _told(self) -> dict[str, str]:
+        """What is said of it."""
+        header, flags = self.header, [name for name in FLAGS if self.has(getattr(layout, name))]
+        return {
+            "sensor": self.name or self.sensor,
+            "sequence": str(self.sequence),
+            "time": _show.time(header["time_ns"]),
+            "columns x rows": " x ".join(map(str, self.range.shape)),
+            "returns": f"{header['returns']} ({header['ground']} ground)",
+            "segments": str(len(self.segments)),
+            "flags": ", ".join(flags) or "none",
+        }
 
     def copy(self) -> Sweep:
         """Copy the sweep: the copy may stay for as long as you like."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 from typing import Any
 
 import numpy as np
@@ -148,24 +147,6 @@ class SweepdError(Exception):
 
 class LayoutError(SweepdError):
     """Bytes that are not a sweep of this layout, or not objects of it."""
-
-
-class Preamble(ctypes.Structure):
-    """What stands in front of the bytes of a sweep in shared memory: iceoryx2's user header."""
-
-    # begin fields: Preamble
-    _fields_ = (
-        ("layout_version", ctypes.c_uint32),
-        ("reserved_4", ctypes.c_uint32),
-        ("sweep_bytes", ctypes.c_uint64),
-        ("reserved_16", ctypes.c_uint8 * 48),
-    )
-    # end fields
-
-    @staticmethod
-    def type_name() -> str:
-        """Give the name by which iceoryx2 tells types apart."""
-        return "sweepd.Preamble"
 
 
 def other_version(what: str, reads: int = LAYOUT_VERSION) -> str:

@@ -45,7 +45,7 @@ fn section(table: &Table, path: &str, key: &str) -> Option<String> {
     match path {
         PAGE => markdown::section(table, key),
         "examples/sweepd.h" => Some(c::section(table)),
-        "python/src/sweepd/layout.py" => python::section(table, key),
+        "python/src/sweepd/layout.py" => Some(python::section(table)),
         _ => Some(script::section(table)),
     }
 }

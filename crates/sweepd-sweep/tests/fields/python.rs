@@ -1,23 +1,12 @@
-//! `python/src/sweepd/layout.py`: numbers, dtypes, and the fields of the preamble for ctypes.
+//! `python/src/sweepd/layout.py`: numbers and dtypes.
 
 use crate::source::{Field, Struct, Table, Topic};
 
 /// Columns of a line.
 const WIDTH: usize = 120;
 
-/// A section by its key.
-pub fn section(table: &Table, key: &str) -> Option<String> {
-    match key {
-        "all" => Some(all(table)),
-        _ => table
-            .structs
-            .iter()
-            .find(|of| of.name == key)
-            .map(of_ctypes),
-    }
-}
-
-fn all(table: &Table) -> String {
+/// All of it.
+pub fn section(table: &Table) -> String {
     let mut text = String::new();
     for group in &table.groups {
         text += &format!("# {}\n", table.linked(&group.doc).replace('`', ""));
@@ -66,21 +55,4 @@ fn dtype(field: &Field) -> String {
         Some(count) => format!("{number}, ({count},)"),
         None => number,
     }
-}
-
-fn of_ctypes(of: &Struct) -> String {
-    let mut text = "    _fields_ = (\n".to_owned();
-    for field in &of.fields {
-        let kind = match field.kind.element.split_at(1) {
-            ("u", bits) => format!("ctypes.c_uint{bits}"),
-            ("i", bits) => format!("ctypes.c_int{bits}"),
-            _ => panic!("{}: python.rs has no name for {}", field.name, field.kind),
-        };
-        let count = field
-            .kind
-            .count
-            .map_or(String::new(), |count| format!(" * {count}"));
-        text += &format!("        (\"{}\", {kind}{count}),\n", field.unique_name());
-    }
-    text + "    )\n"
 }

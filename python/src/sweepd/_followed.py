@@ -1,0 +1,193 @@
+"""What a running daemon shares of a sensor: waiting for it, and its memory."""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import os
+import threading
+import time
+import weakref
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+import numpy as np
+
+from . import _library, _show
+from ._library import library
+from .layout import LayoutError, SweepdError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+T = TypeVar("T")
+LOG = logging.getLogger("sweepd")
+
+# How long the library waits at once, seconds: a signal that comes between two waits is handled after that.
+WAIT_S = 0.2
+# How long nobody publishes a sensor before the log says so, seconds: a daemon is restarted faster.
+UNPUBLISHED_S = 3.0
+
+
+class Followed(Generic[T]):
+    """What one sensor has on one topic, one after the other; also an endless iterator over it."""
+
+    # What it is, in messages.
+    _topic: str
+
+    def __init__(self, name: str, root: str | os.PathLike[str] | None, opened: Any) -> None:
+        """Follow what was opened, unless that failed."""
+        if not opened:
+            raise SweepdError(_library.error())
+        self.name = name
+        """Name of the sensor."""
+        self.root = root
+        """The daemon's folder; `None`: the default one."""
+        self._opened = _Opened(opened)
+        self._unpublished_since: float | None = None
+        weakref.finalize(self, self._opened.close)
+
+    def __iter__(self) -> Iterator[T]:
+        """Wait for each."""
+        return self
+
+    def __next__(self) -> T:
+        """Wait for the next, as long as it takes."""
+        while (received := self.next()) is None:
+            pass
+        return received
+
+    def __repr__(self) -> str:
+        """Say what is followed, and whether it is there."""
+        return f"<sweepd.{type(self).__name__} {_show.one_line(self._told())}>"
+
+    def _repr_html_(self) -> str:
+        """Give a table, for notebooks."""
+        return _show.table(type(self).__name__, self._told())
+
+    def _told(self) -> dict[str, str]:
+        """What is said of it."""
+        told = {"sensor": self.name, "published": "yes" if self.is_published else "no"}
+        if self.model is not None:
+            told["model"] = self.model
+        if self.address is not None:
+            told["address"] = self.address
+        return told
+
+    def _received(self, data: NDArray[np.uint8]) -> T:
+        """Give what these bytes are; views of them keep them."""
+        raise NotImplementedError
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the service was found; the daemon may be gone for all that."""
+        return bool(self._opened.call("is_connected"))
+
+    @property
+    def is_published(self) -> bool:
+        """Whether a daemon publishes at the moment, once the service was found."""
+        return bool(self._opened.call("is_published"))
+
+    @property
+    def reopened(self) -> int:
+        """How often the service was lost and looked for again."""
+        return int(self._opened.call("reopened"))
+
+    @property
+    def model(self) -> str | None:
+        """Model of the sensor, once the service was found."""
+        return self.attribute("model")
+
+    @property
+    def address(self) -> str | None:
+        """Where the sensor's packets come from, once the service was found."""
+        return self.attribute("address")
+
+    def attribute(self, key: str) -> str | None:
+        """Give an attribute of the service, once it was found: "schema", "model" or "address"."""
+        return _library.text(lambda *room: self._opened.call("attribute", key.encode(), *room))
+
+    def next(self, timeout: float | None = None) -> T | None:
+        """Wait for the next, and for the daemon if there is none, but at most `timeout` seconds; `None` then.
+
+        While nobody publishes it, a warning in the log `sweepd` names after three seconds what there is instead. Raises
+        `SweepdError` for what waiting longer does not mend.
+        """
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while True:
+            rest_s = WAIT_S if deadline is None else max(0.0, deadline - time.monotonic())
+            reason, sample = self._opened.next(min(rest_s, WAIT_S))
+            if reason == _library.RECEIVED:
+                self._unpublished_since = None
+                return self._received(np.asarray(_Memory(sample)))
+            self._warn_of(reason)
+            if rest_s == 0.0 and reason != _library.INTERRUPTED:
+                return None
+
+    def _warn_of(self, reason: int) -> None:
+        """Say once, when nobody has published it for a while, what there is."""
+        now = time.monotonic()
+        if reason == _library.TIMEOUT:
+            self._unpublished_since = None
+        elif self._unpublished_since is None:
+            self._unpublished_since = now
+        elif now - self._unpublished_since >= UNPUBLISHED_S:
+            self._unpublished_since = float("inf")
+            names = ", ".join(f"`{name}`" for name in _library.sensors(self.root))
+            there = f"what is published here: {names}" if names else "nor anything else here: is sweepd running?"
+            LOG.warning("nobody publishes the %s of `%s`, %s (still waiting)", self._topic, self.name, there)
+
+
+class _Opened:
+    """A client of the library, which one thread at a time may use."""
+
+    def __init__(self, client: int) -> None:
+        self._client: int | None = client
+        self._process = os.getpid()
+        # A signal's handler, which runs in between, may use it.
+        self._lock = threading.RLock()
+
+    def call(self, function: str, *args: Any) -> Any:
+        """Call the function of the library that has this name behind `sweepd_client_`."""
+        with self._lock:
+            if self._client is None:
+                raise SweepdError("the program ends, and its clients are closed")
+            return getattr(library(), f"sweepd_client_{function}")(self._client, *args)
+
+    def next(self, timeout_s: float) -> tuple[int, Any]:
+        """Wait for a sample: why that ended, and the sample."""
+        sample = ctypes.c_void_p()
+        with self._lock:
+            reason = self.call("next", round(timeout_s * 1e9), ctypes.byref(sample))
+            if reason == _library.INVALID:
+                raise LayoutError(_library.error())
+            if reason == _library.FAILED:
+                raise SweepdError(_library.error())
+        return reason, sample.value
+
+    def close(self) -> None:
+        """Give back its place among the consumers, unless it is a parent's: the process was forked since."""
+        with self._lock:
+            client, self._client = self._client, None
+            if os.getpid() == self._process:
+                library().sweepd_client_close(client)
+
+
+class _Memory:
+    """The bytes of a sample. NumPy keeps this object, and so the sample, for as long as any array looks at it."""
+
+    def __init__(self, sample: int) -> None:
+        length, is_read_only = ctypes.c_size_t(), True
+        at = library().sweepd_sample_bytes(sample, ctypes.byref(length))
+        # Not at the end of the program, where arrays may still look at it.
+        weakref.finalize(self, _release, sample, os.getpid()).atexit = False
+        self.__array_interface__ = {
+            "version": 3, "typestr": "|u1", "shape": (length.value,), "data": (at, is_read_only),
+        }  # fmt: skip
+
+
+def _release(sample: int, process: int) -> None:
+    """Give a sample back, unless it is a parent's: the process was forked since."""
+    if os.getpid() == process:
+        library().sweepd_sample_release(sample)
