@@ -1,15 +1,18 @@
 #!/usr/bin/env python3
 """Prints a line for each sweep of a sensor that sweepd publishes on this host: consumer.py NAME [ROOT]; Ctrl-C ends it.
 
-With --objects before NAME, a line for each object while the head turns. Needs the Python package: pip install ./python
+With --objects before NAME, a line for each object while the head turns. Needs the Python package: pip install sweepd-*.whl
 """
 
+import signal
 import sys
 import time
 
 import sweepd
 from sweepd.layout import WHY_WIDE
 
+# Ctrl-C ends it at once, without a traceback.
+signal.signal(signal.SIGINT, signal.SIG_DFL)
 is_objects = sys.argv[1] == "--objects"
 name, *root = sys.argv[1 + is_objects :]
 sensor = sweepd.Client(name, *root)

@@ -3,7 +3,7 @@
 //! Rust types: `crates/sweepd-sweep/tests/fields`.
 //!
 //! A C and a C++ compiler are wanted, and a Python (`SWEEPD_PYTHON`) with the
-//! packages `iceoryx2` 0.10.0 and `numpy`. Where they are missing the tests are ignored;
+//! package `numpy`. Where they are missing the tests are ignored;
 //! under `CI=true` they fail.
 
 mod common;

@@ -32,8 +32,9 @@ def label(capture, out):
         with pq.ParquetWriter(unfinished, first.schema) as table:
             table.write_table(first)
             count = 1
-            for count, sweep in enumerate(sweeps, start=2):
+            for sweep in sweeps:
                 table.write_table(rows(sweep))
+                count += 1
     except sweepd.SweepdError as error:
         return str(error)
     os.replace(unfinished, out)

@@ -7,6 +7,7 @@ more. What one row alone strikes can be ground, and so can a low thing that is d
 steps down are no objects. `cargo run --release --example obstacles` prints what is seen by sensor, height and distance.
 """
 
+import signal
 import sys
 
 import numpy as np
@@ -15,6 +16,8 @@ import sweepd
 # The box: least and greatest x, y and z, metres.
 BOX_M = np.array([[-1.0, 0.5, 0.05], [1.0, 5.0, 2.0]])
 
+# Ctrl-C ends it at once, without a traceback.
+signal.signal(signal.SIGINT, signal.SIG_DFL)
 client = sweepd.Client(sys.argv[1])
 while True:
     sweep = client.next(timeout=1.0)

@@ -12,6 +12,7 @@ more. What one row alone strikes can be ground, and so can a low thing that is d
 steps down are no objects. `cargo run --release --example obstacles` prints what is seen by sensor, height and distance.
 """
 
+import signal
 import sys
 import time
 
@@ -24,6 +25,8 @@ STOP_M = np.array([[-1.0, 0.5, 0.05], [1.0, 5.0, 2.0]])
 # A sensor that is well gives a sweep at least this often, seconds: it turns five times a second or faster.
 SILENCE_S = 0.3
 
+# Ctrl-C ends it at once, without a traceback.
+signal.signal(signal.SIGINT, signal.SIG_DFL)
 name = sys.argv[1]
 model = int(sys.argv[2]) if len(sys.argv) > 2 else None
 client = sweepd.Client(name)

@@ -183,12 +183,12 @@ class Replayed(unittest.TestCase):
 
 
 INTERRUPTED = """
-import os, sys, sweepd
+import os, sys, time, sweepd
+seconds, *args = sys.argv[1:]
 try:
     print("begun", flush=True)
-    while True:
-        for sweep in sweepd.Client(*sys.argv[1:]) if sys.argv[2:] else sweepd.replay(sys.argv[1]):
-            pass
+    for sweep in sweepd.Client(*args) if args[1:] else sweepd.replay(*args):
+        time.sleep(float(seconds))
 except KeyboardInterrupt:
     with open(f"/proc/self/task/{os.getpid()}/children") as children:
         print("children:", children.read())
@@ -253,13 +253,16 @@ class Running(unittest.TestCase):
         self.assertTrue(((pixels == 0) >= (sweep.range.T == 0)).all() and pixels.any())
 
     def test_ctrl_c_is_quiet(self):
-        for args in ((DUAL,), ("roof", self.root), ("typo", self.root)):
+        pipe = f"{self.root}/pipe"
+        os.mkfifo(pipe)
+        # At a sweep, and in a wait for the first and for the next ones.
+        for args in (("60", DUAL), ("0", pipe), ("0", "roof", self.root), ("0", "typo", self.root)):
             command = ["env", "--default-signal=INT", sys.executable, "-W", "error", "-c", INTERRUPTED, *args]
             program = subprocess.Popen(
                 command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
             )
             program.stdout.readline()
-            time.sleep(1)
+            time.sleep(2)
             # As a terminal does.
             os.killpg(program.pid, signal.SIGINT)
             said = program.communicate(timeout=60)

@@ -26,7 +26,6 @@ use sweepd::cli::tools::TOOLS;
 use sweepd_lab::testkit::{ReservedPort, TempDomain, tool};
 
 const VELODYNE_DECODER: &str = "3.1.0";
-const ICEORYX2: &str = "0.10.0";
 /// Its first number.
 const NUMPY: &str = "2";
 
@@ -97,13 +96,12 @@ pub fn python() -> OsString {
     )
 }
 
-/// The Python package of this tree: the value of `PYTHONPATH`.
-pub const PYTHON_PACKAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/python/src");
-
-/// The same, with the right iceoryx2, and NumPy.
-pub fn python_with_iceoryx2() -> OsString {
-    let code = "import iceoryx2, numpy, importlib.metadata as m; print(m.version('iceoryx2'))";
-    python_that_says(code, ICEORYX2, "NumPy and iceoryx2")
+/// The variables by which it finds the Python package of this tree, and libsweepd.
+pub fn python_package() -> [(&'static str, PathBuf); 2] {
+    [
+        ("PYTHONPATH", root().join("python/src")),
+        ("SWEEPD_LIBRARY", library::library().join("libsweepd.so")),
+    ]
 }
 
 /// The same, with NumPy.

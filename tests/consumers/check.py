@@ -1,6 +1,5 @@
 """Follows a sensor with the Python package and says what it finds; tests/consumers/python.rs compares it with Rust.
 
-    check.py prefixes ROOT...           the prefix of each root, as JSON
     check.py follow NAME ROOT FOLDER    a JSON line a sweep; its points, azimuths and times as files
     check.py objects NAME ROOT          a JSON line a message of objects; all of them are held
     check.py refuse NAME ROOT [objects] for a line `next`: waits for a sweep, or says why not; `look`: the same without
@@ -18,15 +17,11 @@ import sys
 
 import numpy as np
 import sweepd
-from sweepd import _service, layout
+from sweepd import layout
 
 
 def say(**what):
     print(json.dumps(what), flush=True)
-
-
-def prefixes(*roots):
-    say(prefixes=[_service.prefix(_service.absolute(root)) for root in roots])
 
 
 def mapping(array):
@@ -169,7 +164,7 @@ def points_in(file, start_ns, x, y, turn):
 
 
 try:
-    {"prefixes": lambda: prefixes(*sys.argv[2:]), "objects": lambda: objects(*sys.argv[2:]), "points_in": lambda: points_in(*sys.argv[2:]), "follow": lambda: follow(*sys.argv[2:]), "refuse": lambda: refuse(*sys.argv[2:]),
+    {"objects": lambda: objects(*sys.argv[2:]), "points_in": lambda: points_in(*sys.argv[2:]), "follow": lambda: follow(*sys.argv[2:]), "refuse": lambda: refuse(*sys.argv[2:]),
      "hold": lambda: hold(*sys.argv[2:])}[sys.argv[1]]()
 except sweepd.SweepdError as error:
     say(error=str(error))

@@ -15,7 +15,7 @@ use sweepd::sweep::{Shape, SweepMut, SweepRef};
 use zerocopy::IntoBytes;
 
 use super::common::library::compile;
-use super::common::{PYTHON_PACKAGE, python_with_numpy, temp_domain};
+use super::common::{python_package, python_with_numpy, temp_domain};
 use super::python::{LIMIT, Talk, loans};
 use super::source::{Field, Struct, Table, Topic};
 use super::{folder, objects, of_project};
@@ -520,7 +520,7 @@ impl Readers {
             .arg(self.folder.join("fields.py"))
             .arg(self.folder.join("bytes"))
             .args(&args[1..])
-            .env("PYTHONPATH", PYTHON_PACKAGE);
+            .envs(python_package());
         compare("Python", &said(&mut python), expected);
     }
 }

@@ -12,7 +12,7 @@ use sweepd::sensor::Model;
 use sweepd_lab::cast::{Scene, Sensor, Spin, Thing};
 
 use super::common::library::rust_example;
-use super::common::python_with_iceoryx2;
+use super::common::python_with_numpy;
 use super::common::setup::{SOON, Setup};
 use super::of_project;
 use super::python::Talk;
@@ -132,7 +132,7 @@ fn a_pallet_stops_the_rust_example() {
 #[test]
 #[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn a_pallet_stops_the_python_examples() {
-    let python = python_with_iceoryx2();
+    let python = python_with_numpy();
     let examples: [(_, Distance); 2] = [("stop", of_stop), ("nearest", of_nearest)];
     for (name, distance_m) in examples {
         let script = of_project(&format!("examples/python/{name}.py"));

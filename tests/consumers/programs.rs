@@ -14,7 +14,7 @@ use sweepd::sweep::{Pose, SweepMut, SweepRef};
 use zerocopy::{FromBytes, IntoBytes};
 
 use super::common::library::{compile, library, rust_example};
-use super::common::{python_with_iceoryx2, temp_domain};
+use super::common::{python_with_numpy, temp_domain};
 use super::python::{Talk, loans, numbered, publish};
 use super::sweeps::Source;
 use super::{folder, objects, of_project};
@@ -135,7 +135,7 @@ fn the_python_consumer_prints_a_line_a_sweep_and_ends_at_once() {
     let own = temp_domain();
     let script = of_project("examples/consumer.py");
     let args = [script.as_os_str(), "roof".as_ref(), own.root().as_os_str()];
-    let mut consumer = Talk::start(&python_with_iceoryx2(), &args);
+    let mut consumer = Talk::start(&python_with_numpy(), &args);
     play_to(&consumer, &own, |sweep, line| {
         // It does without the rate.
         let (name, rest) = line.split_once(": ").expect(line);
@@ -154,7 +154,7 @@ fn the_nearest_obstacle_is_in_the_box_and_the_frame_of_the_robot() {
     let own = temp_domain();
     let script = of_project("examples/python/nearest.py");
     let root = format!("SWEEPD_ROOT={}", own.root().display());
-    let python = python_with_iceoryx2();
+    let python = python_with_numpy();
     let args = [root.as_ref(), &*python, script.as_os_str(), "roof".as_ref()];
     let consumer = Talk::start("env".as_ref(), &args);
     let mut loans = loans(&own);
@@ -246,7 +246,7 @@ fn publish_until_there(loans: &mut Loans, message: &[u8]) {
 #[test]
 #[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn consumers_print_a_line_an_object() {
-    let (rust, python) = (rust_example("consumer"), python_with_iceoryx2());
+    let (rust, python) = (rust_example("consumer"), python_with_numpy());
     let script = of_project("examples/consumer.py");
     for program in [&[rust.as_os_str()][..], &[&python, script.as_os_str()]] {
         let own = temp_domain();
@@ -271,7 +271,7 @@ fn consumers_print_a_line_an_object() {
 fn stop_is_said_of_what_is_in_the_box_and_while_nothing_is_known() {
     const SILENCE: &str = "stop: nothing is heard of roof";
     const UNKNOWN: &str = "stop: the height of roof is not known yet";
-    let (rust, python) = (rust_example("stop"), python_with_iceoryx2());
+    let (rust, python) = (rust_example("stop"), python_with_numpy());
     let script = of_project("examples/python/stop.py");
     let mut unknown = objects::honest();
     let (header, _) = ObjectsHeader::mut_from_prefix(unknown.as_mut_bytes()).unwrap();
@@ -325,7 +325,7 @@ fn publish_flags(loans: &mut Loans, sequence: u64, model: u32, bits: u32) -> usi
 #[test]
 #[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn stop_is_said_of_a_sensor_that_does_not_see_and_of_another() {
-    let (rust, python) = (rust_example("stop"), python_with_iceoryx2());
+    let (rust, python) = (rust_example("stop"), python_with_numpy());
     let script = of_project("examples/python/stop.py");
     for (program, blind) in [
         (&[rust.as_os_str()][..], "stop: roof: blind: "),

@@ -15,7 +15,7 @@ use sweepd::sweep::layout::is_return;
 use sweepd::sweep::{Shape, SweepMut, SweepRef};
 use zerocopy::IntoBytes;
 
-use super::common::{PYTHON_PACKAGE, python_with_iceoryx2, temp_domain};
+use super::common::{python_package, python_with_numpy, temp_domain};
 use super::sweeps::SOURCES;
 use super::{folder, of_project};
 use sweepd_lab::testkit::TempDomain;
@@ -38,7 +38,7 @@ impl Talk {
             .arg("--default-signal=INT")
             .arg(program)
             .args(args)
-            .env("PYTHONPATH", PYTHON_PACKAGE)
+            .envs(python_package())
             .stdin(Stdio::piped())
             .stdout(Stdio::piped());
         let mut child = command.spawn().unwrap();
@@ -106,7 +106,7 @@ impl Drop for Talk {
 }
 
 pub fn check(args: &[&OsStr]) -> Talk {
-    let python = python_with_iceoryx2();
+    let python = python_with_numpy();
     let script = of_project("tests/consumers/check.py");
     Talk::start(&python, &[&[script.as_os_str()], args].concat())
 }
@@ -155,29 +155,6 @@ pub fn publish(loans: &mut Loans, sequence: u64) {
     let trouble = loans.status().trouble();
     slot.publish()
         .unwrap_or_else(|error| panic!("{error}: {trouble:?}"));
-}
-
-#[test]
-#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
-fn the_python_consumer_has_the_prefixes_of_roots() {
-    let own = temp_domain();
-    let roots = [
-        "/run/sweepd/iox2",
-        "/tmp/sweepd/iox2",
-        "/a",
-        "/a//b/./c/../d",
-        "rel/ative",
-        &own.root().to_string_lossy(),
-    ]
-    .map(PathBuf::from);
-    let args: Vec<&OsStr> = [OsStr::new("prefixes")]
-        .into_iter()
-        .chain(roots.iter().map(|root| root.as_os_str()))
-        .collect();
-    let talk = check(&args);
-    let said = talk.json();
-    let expected = roots.map(|root| sweepd::publish::Domain::at(root).prefix());
-    assert_eq!(said["prefixes"], serde_json::json!(expected));
 }
 
 /// The file that is mapped where `bytes` are, and where in it they are.
@@ -444,7 +421,7 @@ fn what_python_holds_stays_and_costs_nobody_and_more_than_two_are_refused() {
     assert!(
         said["greedy"]
             .as_str()
-            .is_some_and(|error| error.contains("holds 2 sweeps of `roof`")),
+            .is_some_and(|error| error.contains("holds 2 sweeps")),
         "{said}"
     );
     assert_eq!(

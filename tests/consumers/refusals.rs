@@ -153,7 +153,7 @@ fn a_service_of_another_version_is_refused_with_both_and_the_cure_until_this_one
             let said = python.ask("next");
             let words = said["refused"].as_str().unwrap_or_else(|| panic!("{said}"));
             assert!(
-                words.contains(&both("3")) && words.contains("install the Python package of"),
+                words.contains(&both("3")) && words.contains(cure),
                 "{words}"
             );
         }

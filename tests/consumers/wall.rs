@@ -15,7 +15,7 @@ use sweepd::sweep::{Pose, SweepRef};
 use sweepd_lab::simulate::Emitter;
 
 use super::common::wall::{MOUNT, TURN, VELOCITY, drive, off_the_wall, robot};
-use super::common::{PYTHON_PACKAGE, python_with_iceoryx2};
+use super::common::{python_package, python_with_numpy};
 use super::native::{programs, run};
 use super::{folder, of_project};
 
@@ -145,13 +145,13 @@ fn program_points(program: &Path, file: &Path, start_ns: i64) -> Vec<u8> {
 }
 
 fn python_points(file: &Path, start_ns: i64) -> Vec<u8> {
-    let mut command = Command::new(python_with_iceoryx2());
+    let mut command = Command::new(python_with_numpy());
     command
         .arg(of_project("tests/consumers/check.py"))
         .arg("points_in")
         .arg(file)
         .args(motion(start_ns))
-        .env("PYTHONPATH", PYTHON_PACKAGE);
+        .envs(python_package());
     let output = command.output().unwrap();
     assert!(
         output.status.success(),

@@ -3,7 +3,7 @@
 
 use std::fs;
 
-use crate::common::{PYTHON_PACKAGE, python_with_iceoryx2};
+use crate::common::{python_package, python_with_numpy};
 use crate::world::{World, binary};
 
 /// Room that is left, KiB.
@@ -130,11 +130,13 @@ fn a_rust_consumer_without_shared_memory_says_so() {
     ignore = "no SWEEPD_PYTHON, not root, or no namespaces"
 )]
 fn a_python_consumer_without_shared_memory_says_so() {
-    let python = python_with_iceoryx2();
+    let python = python_with_numpy();
     let python = python.to_str().unwrap();
+    let [(path, package), (variable, library)] = python_package();
+    let (package, library) = (package.display(), library.display());
     consume("the Python package", |world| {
         format!(
-            "env PYTHONPATH={PYTHON_PACKAGE} {python} -c 'import sweepd; next(sweepd.Client(\"roof\", \"{}\"))'",
+            "env {path}={package} {variable}={library} {python} -c 'import sweepd; next(sweepd.Client(\"roof\", \"{}\"))'",
             world.root().display()
         )
     });

@@ -62,7 +62,7 @@ impl Python {
         command
             .arg(script)
             .arg(setup.own.root())
-            .env("PYTHONPATH", crate::common::PYTHON_PACKAGE)
+            .envs(crate::common::python_package())
             .stdin(Stdio::null())
             .stdout(Stdio::piped());
         let mut child = command.spawn().unwrap();
@@ -179,7 +179,7 @@ fn compare(name: &str, python: Option<&OsStr>, send: impl FnOnce(&Setup) -> Proc
 #[test]
 #[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn simulated_sensors_live_and_replayed() {
-    let python = crate::common::python_with_iceoryx2();
+    let python = crate::common::python_with_numpy();
     for (model, rpm, seconds, sweeps) in [
         ("vlp16", 600, 1.5, 14),
         ("vlp16", 1200, 1.5, 28),
@@ -285,7 +285,7 @@ fn captures_replayed_at_any_speed() {
 )]
 fn real_captures_live_and_replayed() {
     let data = crate::common::data_dir();
-    let python = crate::common::python_with_iceoryx2();
+    let python = crate::common::python_with_numpy();
     for capture in [
         "hdl32e_mrpt-sample.pcap",
         "hdl32e_veloview-monterey-a.pcap",

@@ -117,10 +117,11 @@ class Followed(Generic[T]):
         deadline = None if timeout is None else time.monotonic() + timeout
         while True:
             rest_s = WAIT_S if deadline is None else max(0.0, deadline - time.monotonic())
-            reason, sample = self._opened.next(min(rest_s, WAIT_S))
+            sample = _Sample()
+            reason = self._opened.next(min(rest_s, WAIT_S), sample)
             if reason == _library.RECEIVED:
                 self._unpublished_since = None
-                return self._received(np.asarray(_Memory(sample)))
+                return self._received(sample.array())
             self._warn_of(reason)
             if rest_s == 0.0 and reason != _library.INTERRUPTED:
                 return None
@@ -155,16 +156,14 @@ class _Opened:
                 raise SweepdError("the program ends, and its clients are closed")
             return getattr(library(), f"sweepd_client_{function}")(self._client, *args)
 
-    def next(self, timeout_s: float) -> tuple[int, Any]:
-        """Wait for a sample: why that ended, and the sample."""
-        sample = ctypes.c_void_p()
-        with self._lock:
-            reason = self.call("next", round(timeout_s * 1e9), ctypes.byref(sample))
-            if reason == _library.INVALID:
-                raise LayoutError(_library.error())
-            if reason == _library.FAILED:
-                raise SweepdError(_library.error())
-        return reason, sample.value
+    def next(self, timeout_s: float, sample: _Sample) -> int:
+        """Wait for a sample, and give why that ended."""
+        reason = int(self.call("next", round(timeout_s * 1e9), ctypes.byref(sample.pointer)))
+        if reason == _library.INVALID:
+            raise LayoutError(_library.error())
+        if reason == _library.FAILED:
+            raise SweepdError(_library.error())
+        return reason
 
     def close(self) -> None:
         """Give back its place among the consumers, unless it is a parent's: the process was forked since."""
@@ -174,20 +173,26 @@ class _Opened:
                 library().sweepd_client_close(client)
 
 
-class _Memory:
-    """The bytes of a sample. NumPy keeps this object, and so the sample, for as long as any array looks at it."""
+class _Sample:
+    """A sample, or none yet. NumPy keeps this object, and so the memory, for as long as any array looks at it."""
 
-    def __init__(self, sample: int) -> None:
-        length, is_read_only = ctypes.c_size_t(), True
-        at = library().sweepd_sample_bytes(sample, ctypes.byref(length))
+    def __init__(self) -> None:
+        # What Ctrl-C keeps from being returned is given back as well.
+        self.pointer = ctypes.c_void_p()
         # Not at the end of the program, where arrays may still look at it.
-        weakref.finalize(self, _release, sample, os.getpid()).atexit = False
+        weakref.finalize(self, _release, self.pointer, os.getpid()).atexit = False
+
+    def array(self) -> NDArray[np.uint8]:
+        """Give its bytes."""
+        length, is_read_only = ctypes.c_size_t(), True
+        at = library().sweepd_sample_bytes(self.pointer, ctypes.byref(length))
         self.__array_interface__ = {
             "version": 3, "typestr": "|u1", "shape": (length.value,), "data": (at, is_read_only),
         }  # fmt: skip
+        return np.asarray(self)
 
 
-def _release(sample: int, process: int) -> None:
+def _release(sample: ctypes.c_void_p, process: int) -> None:
     """Give a sample back, unless it is a parent's: the process was forked since."""
     if os.getpid() == process:
         library().sweepd_sample_release(sample)
