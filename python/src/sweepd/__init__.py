@@ -3,7 +3,7 @@
     for sweep in sweepd.Client("roof"):                      # a running daemon
         obstacles = sweep.points("robot")[sweep.label >= 2]  # metres
 
-    for sweep in sweepd.replay("capture.pcap"):              # a capture; needs the program `sweepd`
+    for sweep in sweepd.replay("capture.pcap"):              # a capture
         nearest_m = sweep.segments["nearest_m"].min(initial=float("inf"))
 
     for message in sweepd.Client("roof").objects():          # objects while the head turns
