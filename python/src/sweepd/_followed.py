@@ -68,7 +68,8 @@ class Followed(Generic[T]):
 
     def _told(self) -> dict[str, str]:
         """What is said of it."""
-        told = {"sensor": self.name, "published": "yes" if self.is_published else "no"}
+        published = ("yes" if self.is_published else "no") if self.is_connected else "not found yet"
+        told = {"sensor": self.name, "published": published}
         if self.model is not None:
             told["model"] = self.model
         if self.address is not None:
@@ -167,9 +168,9 @@ class _Opened:
 
     def close(self) -> None:
         """Give back its place among the consumers, unless it is a parent's: the process was forked since."""
-        with self._lock:
-            client, self._client = self._client, None
-            if os.getpid() == self._process:
+        if os.getpid() == self._process:
+            with self._lock:
+                client, self._client = self._client, None
                 library().sweepd_client_close(client)
 
 
