@@ -18,7 +18,7 @@ use rustix::fs::{FallocateFlags, fallocate};
 use sweepd_client::domain::Domain;
 use sweepd_client::join::JoinError;
 use sweepd_client::join::require_free;
-use sweepd_client::service::{Ipc, LOANED, OVERHEAD_BYTES, Preamble, Topic};
+use sweepd_client::service::{Ipc, LOANED, Preamble, Topic, overhead_bytes};
 
 use super::error::PublishError;
 use super::files::SharedFile;
@@ -51,7 +51,7 @@ impl Pool {
         let max_consumers = service.static_config().max_subscribers();
         let wanted = topic.pool_bytes(max_consumers, sweep_bytes);
         // The first pages are written before all are allocated, so that they must be free.
-        require_free(wanted + OVERHEAD_BYTES)?;
+        require_free(wanted + overhead_bytes())?;
         let publisher = service
             .publisher_builder()
             .initial_max_slice_len(sweep_bytes)

@@ -16,8 +16,8 @@ use sweepd_client::domain::Domain;
 use sweepd_client::join::{JoinError, node};
 use sweepd_client::leftovers::ABANDONED_AFTER;
 use sweepd_client::service::{
-    BORROWED, FileState, Ipc, MORE_NODES, OVERHEAD_BYTES, PUBLISHERS, Preamble, ServiceFile, Topic,
-    attribute, attributes, service_name,
+    BORROWED, FileState, Ipc, MORE_NODES, PUBLISHERS, Preamble, ServiceFile, Topic, attribute,
+    attributes, overhead_bytes, service_name,
 };
 use sweepd_core::sweep::layout::LAYOUT_VERSION;
 
@@ -72,7 +72,7 @@ impl Service {
         if is_first {
             remove_remains(domain);
         }
-        let node = node_when_possible(domain, pool_bytes.saturating_add(OVERHEAD_BYTES))?;
+        let node = node_when_possible(domain, pool_bytes.saturating_add(overhead_bytes()))?;
         if is_first {
             // Dead processes hold places in services.
             node.try_cleanup_dead_nodes();

@@ -56,6 +56,13 @@ pub(crate) fn sleep(time: Duration) -> bool {
     unsafe { libc::poll(ptr::null_mut(), 0, ms) == 0 }
 }
 
+/// Bytes of a page of memory: 4096, on ARM64 also 16,384 or 65,536.
+pub fn page_bytes() -> usize {
+    // SAFETY: takes a number, and touches no memory (sysconf(3)).
+    let bytes = unsafe { libc::sysconf(libc::_SC_PAGESIZE) };
+    usize::try_from(bytes).unwrap_or(4096)
+}
+
 /// A limit of this process (getrlimit(2)); the greatest number where there is none.
 pub(crate) fn limit(resource: libc::__rlimit_resource_t) -> u64 {
     let mut limits = libc::rlimit {

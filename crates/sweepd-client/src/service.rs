@@ -21,6 +21,8 @@ use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
 
 use sweepd_sweep::layout::LAYOUT_VERSION;
 
+use crate::host;
+
 /// The kind of service: its samples may be sent from thread to thread. Consumers with the plain
 /// `ipc` kind see the same.
 pub type Ipc = iceoryx2::service::ipc_threadsafe::Service;
@@ -170,9 +172,11 @@ pub fn attribute(key: &str, value: &str) -> Option<(AttributeKey, AttributeValue
     ))
 }
 
-/// Shared memory that iceoryx2 needs for a process beside the pools: some files of a page each,
-/// with room to spare.
-pub const OVERHEAD_BYTES: u64 = 256 * 1024;
+/// Bytes of shared memory that iceoryx2 needs for a process beside the pools: some files of a page
+/// each, with room to spare.
+pub fn overhead_bytes() -> u64 {
+    64 * host::page_bytes() as u64
+}
 
 /// A service's file as it was when the service was opened. It names the service's own number, so
 /// that one that was made again is another, even under the same name.

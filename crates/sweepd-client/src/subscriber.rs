@@ -23,7 +23,7 @@ use sweepd_sweep::layout::{LAYOUT_VERSION, LayoutError};
 use crate::domain::{Domain, DomainError};
 use crate::join::{JoinError, node};
 use crate::service::{
-    BORROWED, FileState, Ipc, OVERHEAD_BYTES, Preamble, ServiceFile, Topic, attributes,
+    BORROWED, FileState, Ipc, Preamble, ServiceFile, Topic, attributes, overhead_bytes,
     sensor_name, service_name,
 };
 use crate::{host, leftovers};
@@ -385,7 +385,7 @@ impl Subscriber {
             self.domain.check_occupied()?;
             return Ok(Found::Nothing);
         };
-        let node = match node(&self.domain, OVERHEAD_BYTES) {
+        let node = match node(&self.domain, overhead_bytes()) {
             Err(JoinError::Pending) => return Ok(Found::Nothing),
             node => node?,
         };

@@ -20,6 +20,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
+use sweepd_client::host::page_bytes;
 
 /// How long the writer waits for a reader in one sample.
 pub const PATIENCE: Duration = Duration::from_millis(40);
@@ -170,14 +171,16 @@ fn read_answer(answer: &[u8]) -> Option<Option<SocketMemory>> {
     }
 }
 
-/// Bytes of a buffer that a datagram takes: the kernel counts whole pages, and its own notes.
-fn buffer_bytes(datagram: usize) -> f64 {
-    let pages = match datagram {
-        0..=8192 => 8192,
-        8193..=15_984 => 16_384,
-        _ => datagram.next_multiple_of(4096),
+/// Bytes of a buffer that a datagram takes, where a page has `page_bytes`. The kernel puts up to four
+/// pages into one piece of memory, which is a power of two with some notes of its own; it counts pages
+/// of a longer one. Further notes come to each.
+fn buffer_bytes(datagram: usize, page_bytes: usize) -> f64 {
+    const NOTES: usize = 400;
+    let taken = match datagram + NOTES {
+        piece if piece <= 4 * page_bytes => piece.next_power_of_two().max(8192),
+        _ => datagram.next_multiple_of(page_bytes),
     };
-    (pages + 1024) as f64
+    (taken + 1024) as f64
 }
 
 /// The ways out of a participant.
@@ -296,7 +299,7 @@ impl Link {
         transport: &Transport,
         datagram: usize,
     ) -> Result<f64, Outcome> {
-        let buffer_bytes = buffer_bytes(datagram);
+        let buffer_bytes = buffer_bytes(datagram, page_bytes());
         if let Some(kernel) = transport.kernel.as_ref().filter(|_| self.place.near) {
             if room.bytes >= buffer_bytes {
                 return Ok(buffer_bytes);
@@ -594,6 +597,24 @@ mod tests {
     }
 
     #[test]
+    fn a_datagram_takes_more_of_a_buffer_where_pages_are_larger() {
+        let kib = |datagram: usize, page_kib: usize| {
+            (buffer_bytes(datagram, page_kib << 10) as usize - 1024) >> 10
+        };
+        // An MTU, just under and over four pages of 4 KiB, and the longest fragment.
+        for (page_kib, taken) in [
+            (4, [8, 16, 16, 64]),
+            (16, [8, 16, 32, 64]),
+            (64, [8, 16, 32, 64]),
+        ] {
+            assert_eq!(
+                [1500, 15_984, 15_985, 63_100].map(|datagram| kib(datagram, page_kib)),
+                taken
+            );
+        }
+    }
+
+    #[test]
     fn the_kernel_says_how_full_a_socket_is() {
         let (socket, address) = socket();
         let mut kernel = Kernel::open(address).expect("the kernel has udp_diag");
@@ -605,7 +626,7 @@ mod tests {
             let memory = kernel.ask(address).unwrap().unwrap();
             assert!(memory.queued > bytes as u32);
             assert!(
-                f64::from(memory.queued) <= buffer_bytes(bytes),
+                f64::from(memory.queued) <= buffer_bytes(bytes, page_bytes()),
                 "{bytes}: {memory:?}"
             );
             socket.recv(&mut vec![0; 65_536]).unwrap();
