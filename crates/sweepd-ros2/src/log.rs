@@ -3,14 +3,16 @@
 use std::collections::VecDeque;
 use std::fmt::{Arguments, Display};
 use std::io::{self, Write};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::thread::{self, Thread};
 
 use sweepd_client::host::realtime_ns;
 
 /// Lines that wait to be taken: the newest. The network is told of no line at once, as it is told within
 /// the stack that sends it.
 const WAITING: usize = 100;
-static LINES: Mutex<VecDeque<Line>> = Mutex::new(VecDeque::new());
+/// With who takes them.
+static LINES: Mutex<(VecDeque<Line>, Option<Thread>)> = Mutex::new((VecDeque::new(), None));
 
 /// A line.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -38,15 +40,22 @@ pub fn error(message: impl Display) {
     line("error", 40, format_args!("{message}"));
 }
 
-/// Takes the lines since they were taken last, up to the newest 100.
+/// Takes the lines since they were taken last, up to the newest 100. The thread is unparked when the next
+/// one comes.
 pub fn take() -> VecDeque<Line> {
-    std::mem::take(&mut LINES.lock().unwrap_or_else(PoisonError::into_inner))
+    let (lines, taker) = &mut *lines();
+    *taker = Some(thread::current());
+    std::mem::take(lines)
+}
+
+fn lines() -> MutexGuard<'static, (VecDeque<Line>, Option<Thread>)> {
+    LINES.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Without a reader of the log the program goes on.
 fn line(severity: &str, level: u8, message: Arguments<'_>) {
     let _ = writeln!(io::stderr(), "{severity}: {message}");
-    let mut lines = LINES.lock().unwrap_or_else(PoisonError::into_inner);
+    let (lines, taker) = &mut *lines();
     if lines.len() == WAITING {
         lines.pop_front();
     }
@@ -55,4 +64,7 @@ fn line(severity: &str, level: u8, message: Arguments<'_>) {
         level,
         text: message.to_string(),
     });
+    if let Some(taker) = taker.take() {
+        taker.unpark();
+    }
 }

@@ -21,12 +21,13 @@ use std::io;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
-use std::thread::Scope;
+use std::thread::{self, Scope};
 use std::time::{Duration, Instant};
 
 use clap::Parser;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::flag;
+use signal_hook::iterator::Signals;
 use sweepd_client::client::{Client, Domain};
 use sweepd_messages::MessageType;
 use sweepd_messages::message_type::{self, DIAGNOSTIC_ARRAY, TF_MESSAGE};
@@ -43,8 +44,10 @@ use crate::ros_args::RosArgs;
 use crate::services::Services;
 use crate::transforms::Transforms;
 
-/// Between looks for a signal.
+/// Between looks for the first sweep, and for the next request of a client that has just been answered.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// Signals that end the program.
+const ENDS: [i32; 3] = [SIGINT, SIGTERM, SIGHUP];
 /// Between searches for sensors that are new.
 const SEARCH_EVERY: Duration = Duration::from_millis(500);
 /// Between messages of `/diagnostics`.
@@ -112,7 +115,7 @@ fn run(args: &Args, ros: &RosArgs) -> Result<ExitCode, Failure> {
         false => None,
         true => Some(graph.publisher(CLOCK, &message_type::CLOCK, Durability::Volatile)?),
     };
-    std::thread::scope(|scope| {
+    thread::scope(|scope| {
         let sensors = Sensors {
             scope,
             graph,
@@ -176,13 +179,19 @@ impl From<NodeError> for Failure {
     }
 }
 
-/// A flag that is set when the program must end; a second signal ends it at once.
+/// A flag that is set when the program must end, for which this thread is unparked; a second signal ends
+/// the program at once.
 fn end_flag() -> io::Result<Arc<AtomicBool>> {
     let over = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM, SIGHUP] {
+    for signal in ENDS {
         flag::register_conditional_default(signal, Arc::clone(&over))?;
         flag::register(signal, Arc::clone(&over))?;
     }
+    let (mut signals, this) = (Signals::new(ENDS)?, thread::current());
+    let unpark = move || signals.forever().for_each(|_| this.unpark());
+    thread::Builder::new()
+        .name("signals".to_owned())
+        .spawn(unpark)?;
     Ok(over)
 }
 
@@ -274,12 +283,15 @@ impl Sensors<'_, '_> {
         for name in &self.parameters.sensors {
             self.add(name)?;
         }
-        let (mut searched, mut diagnosed) = (None, Instant::now());
+        let start = Instant::now();
+        let mut diagnose_at = start + DIAGNOSE_EVERY;
+        // Those with names are not searched for.
+        let mut search_at = self.parameters.sensors.is_empty().then_some(start);
         let mut trouble = None;
         while !self.over.load(Ordering::Relaxed) {
-            let is_due = searched.is_none_or(|at: Instant| at.elapsed() >= SEARCH_EVERY);
-            if self.parameters.sensors.is_empty() && is_due {
-                searched = Some(Instant::now());
+            let now = Instant::now();
+            if search_at.is_some_and(|at| at <= now) {
+                search_at = Some(now + SEARCH_EVERY);
                 self.search(&mut trouble)?;
             }
             if !self.bridges.is_empty() && !self.remaps_are_told {
@@ -287,16 +299,22 @@ impl Sensors<'_, '_> {
                 self.tell_remaps();
             }
             self.start_clock()?;
-            if diagnosed.elapsed() >= DIAGNOSE_EVERY {
-                diagnosed += DIAGNOSE_EVERY;
+            if diagnose_at <= now {
+                diagnose_at = now.max(diagnose_at + DIAGNOSE_EVERY);
                 diagnostics.publish(self.domain, self.bridges.values().map(|bridge| &**bridge));
             }
             let bridges: Vec<&Bridge> = self.bridges.values().map(|bridge| &**bridge).collect();
-            self.services.serve(&bridges);
+            let is_busy = self.services.serve(&bridges);
             if let Some(rosout) = self.rosout {
                 rosout.publish();
             }
-            std::thread::sleep(LOOK_EVERY);
+            if is_busy || self.clock.is_some() {
+                thread::sleep(LOOK_EVERY);
+            } else {
+                // Until then there is something to do for a request, a line of the log or a signal alone.
+                let next = search_at.map_or(diagnose_at, |at| at.min(diagnose_at));
+                thread::park_timeout(next.saturating_duration_since(Instant::now()));
+            }
         }
         Ok(())
     }
@@ -324,7 +342,7 @@ impl Sensors<'_, '_> {
             publisher.topic()
         ));
         let (bridge, over) = (Arc::clone(bridge), self.over);
-        std::thread::Builder::new()
+        thread::Builder::new()
             .name("clock".to_owned())
             .spawn_scoped(self.scope, move || clock::run(&publisher, &bridge, over))
             .map_err(|error| Failure::cannot("start a thread", &error))?;
@@ -402,7 +420,7 @@ impl Sensors<'_, '_> {
         });
         self.bridges.insert(token, Arc::clone(&bridge));
         let (domain, transforms, over) = (self.domain, self.transforms, self.over);
-        std::thread::Builder::new()
+        thread::Builder::new()
             .name(sensor.to_owned())
             .spawn_scoped(self.scope, move || bridge.run(domain, transforms, over))
             .map_err(|error| Failure::cannot("start a thread", &error))?;

@@ -463,7 +463,8 @@ impl Request {
 }
 
 impl Service {
-    /// Takes the oldest request that waits, if there is one, of a client that hears answers. It never waits.
+    /// Takes the oldest request that waits, if there is one, of a client that hears answers. It never waits;
+    /// where no request is there, the thread is unparked when one comes.
     pub fn take(&self) -> Option<Request> {
         let mut early = lock(&self.early);
         early.retain(|(_, since)| since.elapsed() < CLIENT_HEARS_WITHIN);
@@ -487,6 +488,11 @@ impl Service {
             early.push((sample, Instant::now()));
         }
         None
+    }
+
+    /// Whether requests wait until their clients hear answers.
+    pub fn has_early(&self) -> bool {
+        !lock(&self.early).is_empty()
     }
 
     /// Answers a request: CDR, its encapsulation included.

@@ -42,13 +42,16 @@ impl Services {
         self.parameters.of(sensor)
     }
 
-    /// Answers the requests that wait.
-    pub fn serve(&mut self, bridges: &[&Bridge]) {
+    /// Answers the requests that wait. Says whether others may wait already; if not, the thread is unparked
+    /// when one comes.
+    pub fn serve(&mut self, bridges: &[&Bridge]) -> bool {
+        let mut is_busy = false;
         for index in 0..self.services.len() {
             for _ in 0..AT_ONCE {
                 let Some(request) = self.services[index].take() else {
                     break;
                 };
+                is_busy = true;
                 // What is no request is from no client of ours.
                 let Ok(asked) = Request::read(index, request.message()) else {
                     continue;
@@ -57,7 +60,9 @@ impl Services {
                 self.answer(&asked, bridges).encode(&mut reply);
                 self.services[index].answer(&request, reply);
             }
+            is_busy |= self.services[index].has_early();
         }
+        is_busy
     }
 
     fn answer(&mut self, asked: &Request, bridges: &[&Bridge]) -> Reply {

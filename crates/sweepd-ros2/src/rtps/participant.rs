@@ -514,6 +514,9 @@ impl Shared {
     }
 
     fn go_on_behind(&self, deliveries: Vec<Delivery>) {
+        if deliveries.is_empty() {
+            return;
+        }
         let mut lost: BTreeMap<EntityId, Vec<Arc<Link>>> = BTreeMap::new();
         for delivery in deliveries {
             let is_far = !delivery.link.place.near;
@@ -609,7 +612,9 @@ impl Shared {
                 self.send(self.tick(now));
                 next_tick = now + TICK;
             }
-            self.transport.sockets.wait(TICK);
+            if !self.transport.sockets.wait(TICK) {
+                continue;
+            }
             for inbox in self.transport.sockets.inboxes() {
                 for _ in 0..BATCH {
                     let Some((datagram, source)) = sockets::receive(inbox, &mut buffer) else {

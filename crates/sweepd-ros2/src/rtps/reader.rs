@@ -14,6 +14,7 @@ use crate::log;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
+use std::thread::{self, Thread};
 
 /// Writers that a reader takes samples of.
 pub const MAX_WRITERS: usize = 128;
@@ -36,8 +37,7 @@ pub struct Sample {
 
 /// Samples that wait to be taken: the newest.
 pub struct Inbox {
-    /// The samples, and their bytes in all.
-    samples: Mutex<(VecDeque<Sample>, usize)>,
+    queue: Mutex<Queue>,
     depth: usize,
     bytes: usize,
     /// Writers that the reader matches.
@@ -47,7 +47,7 @@ pub struct Inbox {
 impl Inbox {
     fn new(depth: usize, bytes: usize) -> Self {
         Self {
-            samples: Mutex::default(),
+            queue: Mutex::default(),
             depth,
             bytes,
             writers: AtomicUsize::new(0),
@@ -55,22 +55,38 @@ impl Inbox {
     }
 
     fn put(&self, sample: Sample) {
-        let mut samples = lock(&self.samples);
-        samples.1 += sample.payload.len();
-        samples.0.push_back(sample);
-        while samples.0.len() > self.depth || samples.1 > self.bytes {
-            let oldest = samples.0.pop_front();
-            samples.1 -= oldest.map_or(0, |oldest| oldest.payload.len());
+        let mut queue = lock(&self.queue);
+        queue.bytes += sample.payload.len();
+        queue.samples.push_back(sample);
+        while queue.samples.len() > self.depth || queue.bytes > self.bytes {
+            let oldest = queue.samples.pop_front();
+            queue.bytes -= oldest.map_or(0, |oldest| oldest.payload.len());
+        }
+        if let Some(taker) = queue.taker.take() {
+            taker.unpark();
         }
     }
 
-    /// Takes the oldest.
+    /// Takes the oldest. Where there is none, the thread is unparked when one comes.
     pub fn take(&self) -> Option<Sample> {
-        let mut samples = lock(&self.samples);
-        let oldest = samples.0.pop_front()?;
-        samples.1 -= oldest.payload.len();
-        Some(oldest)
+        let mut queue = lock(&self.queue);
+        let oldest = queue.samples.pop_front();
+        match &oldest {
+            Some(oldest) => queue.bytes -= oldest.payload.len(),
+            None => queue.taker = Some(thread::current()),
+        }
+        oldest
     }
+}
+
+/// What waits in an [`Inbox`].
+#[derive(Default)]
+struct Queue {
+    samples: VecDeque<Sample>,
+    /// Those of the samples.
+    bytes: usize,
+    /// Who found nothing.
+    taker: Option<Thread>,
 }
 
 /// A sample that has not come whole, or waits for one before it.
@@ -343,10 +359,10 @@ pub mod tests {
                 assert!(source.waiting.len() <= self.terms.depth);
                 assert!((source.received.ahead() as u64) < WINDOW);
             }
-            let samples = lock(&self.inbox.samples);
-            let bytes = samples.0.iter().map(|sample| sample.payload.len());
-            assert_eq!(bytes.sum::<usize>(), samples.1);
-            assert!(samples.0.len() <= self.terms.depth && samples.1 <= room);
+            let queue = lock(&self.inbox.queue);
+            let bytes = queue.samples.iter().map(|sample| sample.payload.len());
+            assert_eq!(bytes.sum::<usize>(), queue.bytes);
+            assert!(queue.samples.len() <= self.terms.depth && queue.bytes <= room);
         }
     }
 

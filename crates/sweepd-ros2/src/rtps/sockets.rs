@@ -166,12 +166,13 @@ impl Sockets {
         Ok(())
     }
 
-    /// Waits for a datagram. A signal ends it too.
-    pub fn wait(&self, longest: Duration) {
+    /// Waits for a datagram, and says whether one is there. A signal ends it too.
+    pub fn wait(&self, longest: Duration) -> bool {
         let mut inboxes = self
             .inboxes()
             .map(|inbox| PollFd::new(inbox, PollFlags::IN));
-        let _ = poll(&mut inboxes, Timespec::try_from(longest).ok().as_ref());
+        let ready = poll(&mut inboxes, Timespec::try_from(longest).ok().as_ref());
+        ready.is_ok_and(|ready| ready > 0)
     }
 
     /// Where datagrams come in.

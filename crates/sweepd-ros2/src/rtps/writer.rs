@@ -495,6 +495,9 @@ impl Writer {
 
     /// Asks readers that have not said that they have all.
     pub fn tick(&mut self, now: Instant, out: &mut Outbox) {
+        if self.readers.is_empty() {
+            return;
+        }
         let pulse = self.pulse(self.first(), self.complete);
         for (guid, reader) in &mut self.readers {
             // Of a long history, a reader may have asked for much.
