@@ -39,6 +39,7 @@ def main():
             assert time.monotonic() < end, what
             rclpy.spin_once(node, timeout_sec=0.1)
 
+    print("ready", flush=True)
     said = {"there": client.wait_for_services(20)}
     wait_for("a cloud", lambda: heights)
     said["names"] = list(answer(client.list_parameters(["roof"], 1)).result.names)

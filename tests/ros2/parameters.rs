@@ -1,6 +1,7 @@
 //! Parameters are listed, got, described and set by rclpy's own client; what is set changes the next cloud; and
 //! the log is on `/rosout`.
 
+use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 
 use serde_json::{Value, json};
@@ -15,16 +16,19 @@ fn said(variable: &str, dds_domain: u32) -> Value {
     let world = World::new(&[("roof", "")]);
     let _daemon = world.daemon();
     let _roof = world.feed("roof", vlp16(), "1");
-    let _bridge = world.bridge(dds_domain, &["--ros-args", "-p", "camera.rate:=30"]);
     let mut client = Command::new(interpreter(variable));
     on_domain(&mut client, dds_domain);
-    let output = client
+    let mut client = client
         .arg(script("parameters.py"))
-        .stderr(Stdio::inherit())
-        .output()
+        .stdout(Stdio::piped())
+        .spawn()
         .unwrap();
-    assert!(output.status.success());
-    serde_json::from_slice(&output.stdout).unwrap()
+    let mut lines = BufReader::new(client.stdout.take().unwrap()).lines();
+    assert_eq!(lines.next().unwrap().unwrap(), "ready");
+    let _bridge = world.bridge(dds_domain, &["--ros-args", "-p", "camera.rate:=30"]);
+    let said = lines.next().unwrap().unwrap();
+    assert!(client.wait().unwrap().success());
+    serde_json::from_str(&said).unwrap()
 }
 
 fn check(variable: &str, dds_domain: u32) {
@@ -66,7 +70,6 @@ fn check(variable: &str, dds_domain: u32) {
     let refused = "`min_columns`: expected a whole number from 0 on, not `-1`";
     assert_eq!(said["atomically"], json!([false, refused]));
     assert_eq!(said["kept"], json!([true]));
-    // What was said before anybody heard it, too.
     let log = said["log"].as_array().unwrap();
     for (level, part) in [
         (20, "node /sweepd on ROS domain"),

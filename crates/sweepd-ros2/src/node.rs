@@ -30,6 +30,7 @@ const CLIENT_HEARS_WITHIN: Duration = Duration::from_secs(10);
 
 /// Lines of the log that late readers get: rcl keeps 1,000, which at once would take the place of clouds.
 const ROSOUT_DEPTH: usize = 100;
+const ROSOUT_LIFESPAN: Duration = Duration::from_secs(10);
 
 /// Longest name of a node, and longest of a topic with its namespace, in bytes.
 const LONGEST_NODE_NAME: usize = 255;
@@ -137,6 +138,7 @@ impl Node {
             reliable: true,
             transient_local: true,
             depth: 1,
+            lifespan: None,
         });
         let inner = Inner {
             participant,
@@ -169,13 +171,14 @@ impl Node {
         let depth = if transient_local { 1 } else { DEPTH };
         Ok(self
             .inner
-            .publisher(name, message_type, transient_local, depth))
+            .publisher(name, message_type, transient_local, (depth, None)))
     }
 
-    /// Offers lines of the log on `/rosout`, as every node of ROS does: late readers get the last 100.
+    /// Offers lines of the log on `/rosout`, as every node of ROS does: late readers get those of the last 10 s, up to 100.
     pub fn rosout(&self) -> Publisher {
+        let keep = (ROSOUT_DEPTH, Some(ROSOUT_LIFESPAN));
         self.inner
-            .publisher("/rosout".to_owned(), &rcl::LOG, true, ROSOUT_DEPTH)
+            .publisher("/rosout".to_owned(), &rcl::LOG, true, keep)
     }
 
     /// Offers a service below the node's name. Clients of rmw_fastrtps are answered; rmw_cyclonedds puts
@@ -193,6 +196,7 @@ impl Node {
             reliable: true,
             transient_local: false,
             depth: SERVICE_DEPTH,
+            lifespan: None,
         };
         let participant = &self.inner.participant;
         let replies = terms(format!("rr{name}Reply"), &service.reply);
@@ -233,6 +237,7 @@ impl Node {
             reliable: quality != Quality::BestEffort,
             transient_local: quality == Quality::TransientLocal,
             depth,
+            lifespan: None,
         };
         let reader = self.inner.participant.add_reader(asks, LARGEST_MESSAGE);
         let mut endpoints = self.inner.endpoints();
@@ -259,7 +264,7 @@ impl Inner {
         name: String,
         message_type: &'static MessageType,
         transient_local: bool,
-        depth: usize,
+        (depth, lifespan): (usize, Option<Duration>),
     ) -> Publisher {
         let writer = self.participant.add_writer(Terms {
             topic: format!("rt{name}"),
@@ -268,6 +273,7 @@ impl Inner {
             reliable: true,
             transient_local,
             depth,
+            lifespan,
         });
         let mut endpoints = self.endpoints();
         endpoints.writers.push(writer.guid.bytes());

@@ -16,6 +16,7 @@ pub const DEADLINE: u16 = 0x23;
 pub const USER_DATA: u16 = 0x2c;
 pub const UNICAST_LOCATOR: u16 = 0x2f;
 pub const DEFAULT_LOCATOR: u16 = 0x31;
+pub const LIFESPAN: u16 = 0x2b;
 pub const METATRAFFIC_LOCATOR: u16 = 0x32;
 pub const HISTORY: u16 = 0x40;
 pub const PARTICIPANT_GUID: u16 = 0x50;

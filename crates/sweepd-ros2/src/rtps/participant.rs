@@ -165,7 +165,7 @@ impl Participant {
         let mut state = lock(&self.shared.state);
         // Kind 3: a writer of ours, without key.
         let guid = self.shared.guid(state.new_entity(3));
-        let mut writer = Writer::new(guid, offer.transient_local, offer.depth);
+        let mut writer = Writer::new(guid, offer.transient_local, offer.depth, offer.lifespan);
         let handle = WriterHandle {
             guid,
             counters: Arc::clone(&writer.counters),
@@ -317,6 +317,9 @@ fn endpoint(guid: Guid, participant: Guid, terms: &Terms) -> Vec<u8> {
         parameters::LIVELINESS,
         &[AUTOMATIC, INFINITE[0], INFINITE[1]],
     );
+    if let Some(lifespan) = terms.lifespan {
+        list.numbers(parameters::LIFESPAN, &[lifespan.as_secs() as u32, 0]);
+    }
     let hash = format!("typehash={};", terms.type_hash);
     list.octets(parameters::USER_DATA, hash.as_bytes());
     list.end()
@@ -431,7 +434,7 @@ impl Shared {
         let transport = Transport::new(Sockets::open(environment)?);
         let telling = Side::BOTH.map(|side| {
             let (_, entity) = side.builtin();
-            let writer = Writer::new(Guid::new(prefix, entity), true, usize::MAX);
+            let writer = Writer::new(Guid::new(prefix, entity), true, usize::MAX, None);
             (entity, (None, writer))
         });
         let state = State {

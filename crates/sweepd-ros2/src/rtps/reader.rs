@@ -379,6 +379,7 @@ pub mod tests {
             reliable,
             transient_local: false,
             depth,
+            lifespan: None,
         };
         let mut reader = Reader::new(Guid::new([9; 12], [0, 0, 1, 4]), terms, LARGEST);
         for guid in writers {

@@ -2,6 +2,8 @@
 
 use super::wire::{self, Guid, SampleId, Timestamp};
 
+use std::time::Instant;
+
 /// What a sample is.
 pub enum Body {
     /// CDR, encapsulation included, a multiple of 4 bytes.
@@ -25,6 +27,8 @@ pub struct Sample {
     pub number: u64,
     /// When it was written.
     pub stamp: Timestamp,
+    /// The same in the clock that nobody sets.
+    pub written: Instant,
     /// What it is.
     pub body: Body,
 }
@@ -35,6 +39,7 @@ impl Sample {
         Self {
             number,
             stamp: wire::now(),
+            written: Instant::now(),
             body,
         }
     }

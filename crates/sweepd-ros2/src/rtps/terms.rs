@@ -1,6 +1,7 @@
 //! What writers offer and readers ask for, and how the two go together (DDS 1.4, section 2.2.3).
 
 use super::discovery::Endpoint;
+use std::time::Duration;
 
 /// What an endpoint of ours offers, or asks for.
 #[derive(Clone, Debug)]
@@ -17,6 +18,8 @@ pub struct Terms {
     pub transient_local: bool,
     /// Samples that are kept: the newest.
     pub depth: usize,
+    /// For how long readers that come late get them, if not for ever.
+    pub lifespan: Option<Duration>,
 }
 
 /// How a reader and a writer go together.

@@ -132,6 +132,7 @@ pub struct Writer {
     pub counters: Arc<Counters>,
     transient_local: bool,
     depth: usize,
+    lifespan: Option<Duration>,
     history: VecDeque<Arc<Sample>>,
     /// Number of the newest sample that is sent, or was not sent for want of readers.
     complete: u64,
@@ -142,13 +143,19 @@ pub struct Writer {
 
 impl Writer {
     /// A writer without samples and readers.
-    pub fn new(guid: Guid, transient_local: bool, depth: usize) -> Self {
+    pub fn new(
+        guid: Guid,
+        transient_local: bool,
+        depth: usize,
+        lifespan: Option<Duration>,
+    ) -> Self {
         Self {
             guid,
             turn: Arc::default(),
             counters: Arc::default(),
             transient_local,
             depth,
+            lifespan,
             history: VecDeque::new(),
             complete: 0,
             readers: BTreeMap::new(),
@@ -495,6 +502,10 @@ impl Writer {
 
     /// Asks readers that have not said that they have all.
     pub fn tick(&mut self, now: Instant, out: &mut Outbox) {
+        if let Some(lifespan) = self.lifespan {
+            self.history
+                .retain(|sample| now.saturating_duration_since(sample.written) <= lifespan);
+        }
         if self.readers.is_empty() {
             return;
         }

@@ -33,6 +33,7 @@ fn deaf_within(domain: u16, range: DiscoveryRange) -> (Participant, WriterHandle
         reliable: true,
         transient_local: true,
         depth: 5,
+        lifespan: None,
     });
     for _ in 0..7 {
         participant.write(&writer, Body::Same(vec![0; 200_000]));
@@ -50,6 +51,7 @@ fn with_readers(participant: &Participant) -> [ReaderHandle; 2] {
             reliable,
             transient_local: false,
             depth: 5,
+            lifespan: None,
         };
         participant.add_reader(asks, 10_000)
     })
@@ -685,4 +687,26 @@ fn a_writer_that_found_no_room_is_heard_once_another_has_ended() {
     participant.shared.tick(Instant::now());
     take(&participant, sample_in_fragments(prefix, 1).bytes());
     assert_eq!(reader.inbox.take().unwrap().id.writer.entity, WRITER);
+}
+
+#[test]
+fn late_readers_get_no_sample_that_is_too_old() {
+    let lifespan = Duration::from_secs(10);
+    let guid = Guid::new([1; 12], [0, 0, 1, 3]);
+    let mut writer = Writer::new(guid, true, 100, Some(lifespan));
+    assert!(writer.begin(Body::Same(vec![0; 8])).is_some());
+    let written = Instant::now();
+    writer.finish(vec![], written);
+    let place = Place {
+        address: SocketAddrV4::new(Ipv4Addr::LOCALHOST, 9),
+        near: true,
+    };
+    for (seconds, samples) in [(0, 1), (9, 1), (11, 0)] {
+        let mut out = Outbox::default();
+        let now = written + Duration::from_secs(seconds);
+        writer.tick(now, &mut out);
+        let reader = Endpoint::builtin_reader([seconds as u8; 12], Side::Readers, place);
+        writer.add_reader(&reader, Arc::new(Link::new(place)), true, now, &mut out);
+        assert_eq!(out.repairs.len(), samples, "after {seconds} s");
+    }
 }
