@@ -1,5 +1,6 @@
 //! `/diagnostics`: how each sensor is, by its sweeps and by what the daemon says.
 
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -21,6 +22,9 @@ const ANSWER_BYTES: usize = 1 << 20;
 
 /// Numbers of `/health` that are no counters, and what its words tell.
 const UNTOLD: [&str; 3] = ["port", "position_port", "losses"];
+
+/// Subscribers of a topic that are named for what they lost: those that lost most.
+const MOST_NAMED: usize = 10;
 
 /// Incomplete sweeps in a row that a run which ends and begins again has: its last and its first.
 const USUAL_INCOMPLETE: u64 = 2;
@@ -125,13 +129,16 @@ impl Values {
         self.0.push((key.into(), value.to_string()));
     }
 
-    /// The subscribers of a topic, how often it was computed, and what each of them lost.
+    /// The subscribers of a topic, how often it was computed, and what those lost that lost most.
     fn add_topic(&mut self, name: &str, computed: u64, subscribers: &[Subscriber]) {
         let lost: u64 = subscribers.iter().map(|one| one.lost_messages).sum();
         self.add(format!("{name} subscribers"), subscribers.len());
         self.add(format!("{name} computed"), computed);
         self.add(format!("{name} lost"), lost);
-        for one in subscribers.iter().filter(|one| one.lost_messages > 0) {
+        let mut losers: Vec<&Subscriber> = subscribers.iter().collect();
+        losers.retain(|one| one.lost_messages > 0);
+        losers.sort_by_key(|one| Reverse(one.lost_messages));
+        for one in losers.into_iter().take(MOST_NAMED) {
             let dropped = match one.dropped_datagrams {
                 Some(dropped) => format!(", its socket dropped {dropped} datagrams"),
                 None => String::new(),
