@@ -1,6 +1,8 @@
 //! Datagrams of anyone: no panic, and no more state than there is room for.
 
 use super::*;
+use crate::rtps::discovery::{MAX_ENDPOINTS, MAX_PARTICIPANTS};
+use crate::rtps::wire::Submessage;
 use crate::rtps::wire::{Fragments, Heartbeat};
 use crate::rtps::writer::OUTBOX;
 use proptest::collection::vec;

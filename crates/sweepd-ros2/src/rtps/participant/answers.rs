@@ -1,0 +1,384 @@
+//! What follows from what others say: whom we meet, who reads and writes what, and who misses what.
+
+use super::{ANSWER_RATIO, Shared, State, TELL_EVERY};
+use crate::log;
+use crate::rtps::discovery::{
+    Endpoint, MAX_ENDPOINTS, MAX_PARTICIPANTS, News, ParticipantData, Place, Side, is_own,
+};
+use crate::rtps::flow::lock;
+use crate::rtps::parameters;
+use crate::rtps::reader::Reader;
+use crate::rtps::wire::{self, ANY_READER, Data, EntityId, Guid, NumberSet, Prefix, Submessage};
+use crate::rtps::writer::Outbox;
+use std::collections::BTreeMap;
+use std::net::Ipv4Addr;
+use std::time::Instant;
+
+impl Shared {
+    /// Takes a datagram, from anyone: what follows from it.
+    pub(super) fn receive(&self, datagram: &[u8], source: Ipv4Addr) -> Outbox {
+        let mut out = Outbox::default();
+        let mut state = lock(&self.state);
+        if self.hears(source, &state.addresses)
+            && let Some(mut submessages) = wire::read(datagram, self.prefix)
+        {
+            let prefix = submessages.source;
+            while let Some(submessage) = submessages.next() {
+                if submessages.names_us && submessage.acknowledges() {
+                    self.confirm(&mut state, prefix, source, &mut out);
+                }
+                self.take(&mut state, prefix, source, submessage, &mut out);
+            }
+            state.limit(prefix, &mut out, ANSWER_RATIO * datagram.len());
+        }
+        out
+    }
+
+    fn take(
+        &self,
+        state: &mut State,
+        prefix: Prefix,
+        source: Ipv4Addr,
+        submessage: Submessage,
+        out: &mut Outbox,
+    ) {
+        let is_there = state.discovery.is_at(prefix, source, &state.addresses);
+        match submessage {
+            Submessage::Data(data) if data.writer == wire::PARTICIPANTS_WRITER => {
+                if data.disposed {
+                    state.discovery.forget(prefix);
+                    state.forget(prefix);
+                } else if let Some(meets) =
+                    ParticipantData::read(data.payload, source, &state.addresses)
+                {
+                    self.meet(state, prefix, meets, out);
+                }
+            }
+            // Anyone can speak in its name.
+            Submessage::Data(_) | Submessage::Gap { .. } if !is_there => {}
+            Submessage::Data(data) => match Side::told_by(data.writer) {
+                Some(side) => state.told((prefix, side), &data, out),
+                None => state.data(prefix, &data),
+            },
+            Submessage::Heartbeat {
+                reader,
+                writer,
+                first,
+                last,
+            } => match Side::told_by(writer) {
+                Some(side) => {
+                    if is_there {
+                        state.discovery.heartbeat(prefix, side, first, last);
+                    }
+                    match state.discovery.confirmed_host(prefix) {
+                        Some(_) => self.ask_for_endpoints(state, prefix, side, out),
+                        None => state.ask_whether_it_hears(prefix, out),
+                    }
+                }
+                None if is_there => {
+                    state.heartbeat(reader, Guid::new(prefix, writer), first, last, out);
+                }
+                None => {}
+            },
+            Submessage::Gap {
+                reader,
+                writer,
+                first,
+                more,
+            } => match Side::told_by(writer) {
+                Some(side) => state.discovery.gap(prefix, side, first, &more),
+                None => {
+                    for own in readers_named(&mut state.readers, reader) {
+                        own.gap(Guid::new(prefix, writer), first, &more);
+                    }
+                }
+            },
+            acknowledgement => state.acknowledged(prefix, acknowledgement, out),
+        }
+    }
+
+    /// A participant that names us acknowledges something: its readers on that host may get samples, and
+    /// its writers there are heard.
+    fn confirm(&self, state: &mut State, prefix: Prefix, source: Ipv4Addr, out: &mut Outbox) {
+        if state.discovery.confirmed_host(prefix).is_some() {
+            return;
+        }
+        let elsewhere = state
+            .discovery
+            .seen_elsewhere(prefix, source, &state.addresses);
+        if let Some(data) = elsewhere {
+            self.meet(state, prefix, data, out);
+        }
+        if !state
+            .discovery
+            .acknowledged(prefix, source, &state.addresses)
+        {
+            return;
+        }
+        if let Some(host) = state.discovery.confirmed_host(prefix) {
+            for (_, writer) in state.writers.values_mut() {
+                writer.confirm(prefix, host, Instant::now(), out);
+            }
+        }
+        for side in Side::BOTH {
+            state.join(prefix, side, None, out);
+            self.ask_for_endpoints(state, prefix, side, out);
+        }
+    }
+
+    /// Says to a participant of which of its endpoints we have heard.
+    fn ask_for_endpoints(&self, state: &mut State, prefix: Prefix, side: Side, out: &mut Outbox) {
+        if let Some((missing, place)) = state.discovery.missing(prefix, side) {
+            let [reader, writer] = self.telling(prefix, side);
+            let message = state.ways.acknack(reader, writer, &missing);
+            out.message(place.address, message);
+        }
+    }
+
+    /// Our reader, and the writer of a participant that tells it of endpoints.
+    fn telling(&self, prefix: Prefix, side: Side) -> [Guid; 2] {
+        let (reader, writer) = side.builtin();
+        [self.guid(reader), Guid::new(prefix, writer)]
+    }
+
+    /// Answers a participant that says that it is there: that we are too, which writers and readers we
+    /// have, and that we have heard of none of its yet.
+    fn meet(&self, state: &mut State, prefix: Prefix, data: ParticipantData, out: &mut Outbox) {
+        let place = data.meta;
+        if let Some(displaced) = state.discovery.displaced_by(prefix) {
+            state.discovery.forget(displaced);
+            state.forget(displaced);
+        }
+        let now = Instant::now();
+        let news = (state.discovery).participant(prefix, data, &state.addresses, now);
+        if news == News::Known {
+            return;
+        }
+        let announcement = self.announcement(&state.addresses);
+        out.message(place.address, announcement);
+        let host = state.discovery.confirmed_host(prefix);
+        if news == News::Unaware && host.is_some() {
+            return;
+        }
+        for side in Side::BOTH {
+            let [reader, writer] = self.telling(prefix, side);
+            let nothing = state.ways.acknack(reader, writer, &NumberSet::new(1));
+            out.message(place.address, nothing);
+        }
+        if news == News::New {
+            // One that was here before has moved: its endpoints, too.
+            state.forget(prefix);
+            for side in Side::BOTH {
+                state.join(prefix, side, None, out);
+            }
+        }
+        for side in Side::BOTH {
+            let reader = Endpoint::builtin_reader(prefix, side, place);
+            let link = state.ways.link(place);
+            if let Some((_, telling)) = state.writers.get_mut(&side.builtin().1) {
+                telling.remove_readers(|guid| guid == reader.guid);
+                telling.add_reader(&reader, link, host.is_some(), now, out);
+            }
+        }
+    }
+}
+
+/// Our readers that a submessage names.
+fn readers_named(
+    readers: &mut BTreeMap<EntityId, Reader>,
+    named: EntityId,
+) -> impl Iterator<Item = &mut Reader> {
+    let readers = readers.values_mut();
+    readers.filter(move |own| named == ANY_READER || named == own.guid.entity)
+}
+
+impl State {
+    /// The number of an endpoint that is new, and its kind.
+    pub(super) fn new_entity(&mut self, kind: u8) -> EntityId {
+        self.entities += 1;
+        let [_, high, middle, low] = self.entities.to_be_bytes();
+        [high, middle, low, kind]
+    }
+
+    /// Sends a heartbeat to a participant that has acknowledged nothing: what it answers shows where it is.
+    fn ask_whether_it_hears(&self, prefix: Prefix, out: &mut Outbox) {
+        let publications = self.writers.get(&wire::PUBLICATIONS_WRITER);
+        if let Some(((_, publications), place)) = publications.zip(self.discovery.place(prefix)) {
+            let reader = Guid::new(prefix, wire::PUBLICATIONS_READER);
+            out.message(place.address, publications.heartbeat(reader));
+        }
+    }
+
+    /// Takes messages out that have more than so many bytes in all, but of those to the host from which a
+    /// participant has acknowledged something.
+    fn limit(&self, prefix: Prefix, out: &mut Outbox, bytes: usize) {
+        let host = self.discovery.confirmed_host(prefix);
+        let mut left = bytes;
+        out.messages.retain(|(to, message)| {
+            let near = is_own(to.ip(), &self.addresses);
+            let place = Place { address: *to, near };
+            if host == Some(place.host()) {
+                return true;
+            }
+            let rest = left.checked_sub(message.bytes().len());
+            left = rest.unwrap_or(left);
+            rest.is_some()
+        });
+    }
+
+    /// Warns, now and then, of subscribers that get nothing because they acknowledged nothing.
+    pub(super) fn tell_unheard(&mut self, unheard: Option<Place>, now: Instant) {
+        let is_due = self.told_unheard.is_none_or(|at| now - at > TELL_EVERY);
+        if let Some(place) = unheard.filter(|_| is_due) {
+            self.told_unheard = Some(now);
+            log::warn(format_args!(
+                "a participant with subscribers at {} gets nothing: nothing was acknowledged from there",
+                place.address
+            ));
+        }
+    }
+
+    /// Brings the endpoints of a participant together with those of ours that they match: one, or all of a
+    /// side.
+    fn join(&mut self, prefix: Prefix, side: Side, only: Option<EntityId>, out: &mut Outbox) {
+        let host = self.discovery.confirmed_host(prefix);
+        for endpoint in self.discovery.endpoints_of(prefix, side) {
+            if only.is_some_and(|only| only != endpoint.guid.entity) {
+                continue;
+            }
+            if side == Side::Writers {
+                for reader in self.readers.values_mut() {
+                    self.ways.join_writer(reader, endpoint, host, out);
+                }
+                continue;
+            }
+            for (offer, writer) in self.writers.values_mut() {
+                if let Some(offer) = offer {
+                    self.ways.join((offer, writer), endpoint, host, out);
+                }
+            }
+        }
+    }
+
+    /// Gives readers of ours that have room again the writers that found none.
+    pub(super) fn fill_readers(&mut self, out: &mut Outbox) {
+        for reader in self.readers.values_mut() {
+            if !reader.has_room_again() {
+                continue;
+            }
+            for writer in self.discovery.endpoints(Side::Writers) {
+                let host = self.discovery.confirmed_host(writer.guid.prefix);
+                self.ways.join_writer(reader, writer, host, out);
+            }
+        }
+    }
+
+    /// Warns, now and then, that somebody found no room.
+    pub(super) fn tell_full(&mut self, now: Instant) {
+        let is_due = self.told_full.is_none_or(|at| now - at > TELL_EVERY);
+        if std::mem::take(&mut self.discovery.is_full) && is_due {
+            self.told_full = Some(now);
+            log::warn(format_args!(
+                "{MAX_PARTICIPANTS} participants, or {MAX_ENDPOINTS} subscribers or publishers, are known on this ROS \
+                 domain, the most that there is room for: others may get nothing until some leave"
+            ));
+        }
+    }
+
+    /// Gives a writer what a reader says of its samples; anything else is for nobody here.
+    fn acknowledged(&mut self, prefix: Prefix, submessage: Submessage, out: &mut Outbox) {
+        let now = Instant::now();
+        match submessage {
+            Submessage::AckNack {
+                reader,
+                writer,
+                missing,
+            } => {
+                let from = Guid::new(prefix, reader);
+                if let Some((_, writer)) = self.writers.get_mut(&writer) {
+                    writer.acknack(from, &missing, now, out);
+                }
+            }
+            Submessage::NackFragment {
+                reader,
+                writer,
+                number,
+                missing,
+            } => {
+                let from = Guid::new(prefix, reader);
+                if let Some((_, writer)) = self.writers.get_mut(&writer) {
+                    writer.nack_fragment(from, number, missing, now, out);
+                }
+            }
+            Submessage::Data(_) | Submessage::Heartbeat { .. } | Submessage::Gap { .. } => {}
+        }
+    }
+
+    pub(super) fn forget(&mut self, prefix: Prefix) {
+        self.remove(|guid| guid.prefix == prefix);
+        self.ways.drop_unused();
+    }
+
+    /// Endpoints of others are no more.
+    fn remove(&mut self, gone: impl Fn(Guid) -> bool) {
+        for (_, writer) in self.writers.values_mut() {
+            writer.remove_readers(&gone);
+        }
+        for reader in self.readers.values_mut() {
+            reader.remove_writers(&gone);
+        }
+    }
+
+    /// A participant tells of an endpoint of its.
+    fn told(&mut self, (prefix, side): (Prefix, Side), data: &Data, out: &mut Outbox) {
+        let Data {
+            number, payload, ..
+        } = *data;
+        if data.part.is_some() {
+            return;
+        }
+        if data.disposed {
+            let key = data
+                .key
+                .or(parameters::guid(payload, parameters::ENDPOINT_GUID));
+            let key = key.filter(|key| key.prefix == prefix);
+            self.discovery.endpoint_ended(prefix, side, number, key);
+            self.remove(|guid| Some(guid) == key);
+        } else {
+            let own = &self.addresses;
+            let endpoint = self
+                .discovery
+                .endpoint((prefix, side), number, payload, own);
+            let Some(entity) = endpoint.map(|endpoint| endpoint.guid.entity) else {
+                return;
+            };
+            self.join(prefix, side, Some(entity), out);
+        }
+        // One that was here before may have moved.
+        self.ways.drop_unused();
+    }
+
+    /// A writer of others sends a sample, or a part of one.
+    fn data(&mut self, prefix: Prefix, data: &Data) {
+        for reader in readers_named(&mut self.readers, data.reader) {
+            reader.data(Guid::new(prefix, data.writer), data);
+        }
+    }
+
+    /// A writer of others says what it has: our readers say what they miss.
+    fn heartbeat(
+        &mut self,
+        reader: EntityId,
+        writer: Guid,
+        first: u64,
+        last: u64,
+        out: &mut Outbox,
+    ) {
+        for own in readers_named(&mut self.readers, reader) {
+            if let Some((missing, place)) = own.heartbeat(writer, first, last) {
+                let message = self.ways.acknack(own.guid, writer, &missing);
+                out.message(place.address, message);
+            }
+        }
+    }
+}
