@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-PROGRAMS = ["sweepd", "sweepd-ros2", "sweepd-tools"]
+PROGRAMS = ["sweepd", "sweepd-ros2", "sweepd-tools", "sweepd-c"]
 # Licence files at the top of a crate, by the beginnings of their names.
 NAMES = ("license", "licence", "copying", "copyright", "notice", "unlicense")
 
