@@ -613,7 +613,11 @@ static inline void sweepd_points_in(const sweepd_sweep *sweep, const float *plan
 /* ---- Receiving: libsweepd.so ----
  *
  * A program may be started before the daemon, and goes on when that was restarted. It must run as the daemon's user. It handles
- * its signals itself: libsweepd handles none. A text that a function takes is UTF-8 and ends in a zero. */
+ * its signals itself: libsweepd handles none. A text that a function takes is UTF-8 and ends in a zero.
+ *
+ * A client and its samples belong to the process that opened the client. After fork() the child cannot use those of its parent: the
+ * functions fail, and sweepd_client_close and sweepd_sample_release do nothing, so that the parent keeps what it holds. The child
+ * opens a client of its own. Nor may it read bytes that it found before fork(): the parent may give them back at any time. */
 
 #define SWEEPD_ABI_VERSION 1u /* of the functions below */
 

@@ -4,6 +4,8 @@
  *         next MS     gives back what is held, and waits for the next, whose bytes go to FOLDER/bytes
  *         hold MS     the same, and holds what was held, too
  *         sensors     the names
+ *         fork        children try what is of their parent, and end; the last then waits for a sweep with a client of its own.
+ *                     Lines: that client is connected; how the children ended, and whether what is held is as it came
  *         leave       ends the client, then says whether what is held is as it came, then gives it back on another thread
  *     library watch NAME ROOT                   a line a sweep: its run, its number, and a hash of its bytes as it came and some
  *                                               milliseconds later
@@ -17,6 +19,7 @@
 #include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <sys/wait.h>
 #include <unistd.h>
 
 #include "sweepd.h"
@@ -63,6 +66,17 @@ static void release_all(void) {
     }
 }
 
+/* Whether what is held is as it came. */
+static int is_same(void) {
+    int same = 1;
+    for (int at = 0; at < held_len; at++) {
+        size_t len;
+        const void *bytes = sweepd_sample_bytes(held[at].sample, &len);
+        same &= bytes != NULL && memcmp(bytes, held[at].copy, len) == 0;
+    }
+    return same;
+}
+
 static void *release_all_here(void *nothing) {
     release_all();
     return nothing;
@@ -94,6 +108,37 @@ static void say_next(sweepd_client *client, int64_t limit_ns, const char *folder
     printf("}\n");
 }
 
+static int is_refused(void) {
+    return strstr(sweepd_error(), "before fork(): open one in this process") != NULL;
+}
+
+/* After fork(): what is of the parent is refused, and given back without an effect. Where there is a root, a client of the child's
+ * own gets a sweep. */
+static int in_child(sweepd_client *client, const char *name, const char *root) {
+    sweepd_sample *sample;
+    size_t len = 7;
+    int32_t next;
+    assert(sweepd_client_next(client, -1, &sample) == SWEEPD_NEXT_FAILED && sample == NULL && is_refused());
+    assert(sweepd_client_objects(client) == NULL && is_refused());
+    assert(sweepd_client_is_connected(client) == 0 && sweepd_client_missed(client) == 0);
+    assert(sweepd_client_attribute(client, "model", NULL, 0) == SIZE_MAX);
+    for (int at = 0; at < held_len; at++)
+        assert(sweepd_sample_bytes(held[at].sample, &len) == NULL && len == 0 && is_refused());
+    release_all();
+    sweepd_client_close(client);
+    if (root == NULL) return 0;
+    client = sweepd_client_open(name, root);
+    do {
+        next = sweepd_client_next(client, 20000000, &sample);
+    } while (next != SWEEPD_NEXT_FAILED && !sweepd_client_is_connected(client));
+    printf("{\"next\":%d}\n", (int)next);
+    fflush(stdout);
+    next = sweepd_client_next(client, INT64_C(20000000000), &sample);
+    sweepd_sample_release(sample);
+    sweepd_client_close(client);
+    return next;
+}
+
 static int talk(const char *name, const char *root, const char *folder, int is_objects) {
     char line[64];
     sweepd_client *client = sweepd_client_open(name, root);
@@ -114,16 +159,21 @@ static int talk(const char *name, const char *root, const char *folder, int is_o
             printf("{\"length\":%zd", (ssize_t)sweepd_sensors(root, names, sizeof names));
             say_text("sensors", names);
             printf("}\n");
+        } else if (strncmp(line, "fork", 4) == 0) {
+            int failed = 0;
+            fflush(stdout);
+            for (int left = 40; left >= 0; left--) {
+                int status = -1;
+                const pid_t child = fork();
+                if (child == 0) exit(in_child(client, name, left == 0 ? root : NULL));
+                assert(waitpid(child, &status, 0) == child);
+                failed += status != 0;
+            }
+            printf("{\"failed\":%d,\"held\":%d,\"same\":%d}\n", failed, held_len, is_same());
         } else if (strncmp(line, "leave", 5) == 0) {
-            int is_same = 1;
             pthread_t thread;
             sweepd_client_close(client);
-            for (int at = 0; at < held_len; at++) {
-                size_t len;
-                const void *bytes = sweepd_sample_bytes(held[at].sample, &len);
-                is_same &= memcmp(bytes, held[at].copy, len) == 0;
-            }
-            printf("{\"held\":%d,\"same\":%d", held_len, is_same);
+            printf("{\"held\":%d,\"same\":%d", held_len, is_same());
             pthread_create(&thread, NULL, release_all_here, NULL);
             pthread_join(thread, NULL);
             printf("}\n");

@@ -128,7 +128,7 @@ fn c_gets_objects() {
 /// As Python's collector of garbage does: a sweep goes after its client, on another thread.
 #[test]
 #[cfg_attr(without_compilers, ignore = "no compilers")]
-fn what_c_holds_stays_when_its_client_is_gone_and_goes_on_any_thread() {
+fn what_c_holds_stays_when_its_client_is_gone_and_is_released_on_any_thread() {
     let (own, folder) = (temp_domain(), folder("library_held"));
     let mut loans = loans(&own);
     for _ in 0..4 {
@@ -157,6 +157,25 @@ fn what_c_holds_stays_when_its_client_is_gone_and_goes_on_any_thread() {
         assert_eq!(c.ask("leave"), json!({"held": 2, "same": 1}));
         assert!(c.end().success());
     }
+}
+
+#[test]
+#[cfg_attr(without_compilers, ignore = "no compilers")]
+fn a_child_after_fork_leaves_its_parent_what_that_holds() {
+    let (own, folder) = (temp_domain(), folder("library_fork"));
+    let mut loans = loans(&own);
+    let mut c = talk(&own, "roof", &folder, &[]);
+    while next(&mut c, 20)["connected"] != 1 {}
+    for sequence in 1..3 {
+        publish(&mut loans, sequence);
+        assert_eq!(c.ask(&format!("hold {SOON_MS}"))["next"], RECEIVED);
+    }
+    // A child's own client waits; enough sweeps to reuse whatever a child gave back.
+    assert_eq!(c.ask("fork")["next"], TIMEOUT);
+    (3..60).for_each(|sequence| publish(&mut loans, sequence));
+    assert_eq!(c.json(), json!({"failed": 0, "held": 2, "same": 1}));
+    assert_eq!(next(&mut c, SOON_MS)["next"], RECEIVED);
+    assert!(c.end().success());
 }
 
 #[test]

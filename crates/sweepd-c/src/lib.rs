@@ -1,8 +1,8 @@
 //! The library libsweepd: `sweepd_client` behind a C ABI. `examples/sweepd.h` declares what is here, and says what
 //! each function means to its callers.
 //!
-//! No panic leaves a function, and what C can be told of a mistake is an error: a NULL, a name that is none. That
-//! a handle is one of this library's and was not given back is the caller's to keep.
+//! No panic leaves a function, and what C can be told of a mistake is an error: a NULL, an invalid name, a client from
+//! before fork(). That a handle is one of this library's and was not given back is the caller's to keep.
 
 #![warn(missing_docs)]
 
@@ -10,6 +10,7 @@ use std::cell::RefCell;
 use std::ffi::{CStr, CString, OsStr, c_char, c_void};
 use std::os::unix::ffi::OsStrExt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::process;
 use std::ptr;
 use std::sync::{Mutex, MutexGuard};
 use std::time::Duration;
@@ -37,33 +38,101 @@ thread_local! {
 }
 
 /// What a client follows.
-enum Followed {
+pub enum Followed {
+    /// A client of sweeps.
     Sweeps(Client),
+    /// A client of objects.
     Objects(Objects),
 }
 
-/// `sweepd_client`. The lock makes calls from several threads wait for each other.
-pub struct Handle(Mutex<Followed>);
+/// What C holds of this library, which the process that made it may use. After fork() the child has a copy of it:
+/// dropped there, it would free memory that the parent still uses.
+pub struct Owned<T> {
+    process: u32,
+    what: T,
+}
 
-/// `sweepd_sample`: a sweep, or a message of objects. It keeps the memory that it is in, and so may
-/// outlive its client.
-#[allow(clippy::large_enum_variant, reason = "a sample is in a box of its own")]
-pub enum Sample {
-    /// A sweep.
+/// `sweepd_client`. The lock makes calls from several threads wait for each other.
+pub type Handle = Owned<Mutex<Followed>>;
+
+/// `sweepd_sample`. It keeps the memory that it is in, and so may outlive its client.
+pub type Sample = Owned<Bytes>;
+
+/// Where the bytes of a sample are. Several threads may read this, but not what it keeps.
+pub struct Bytes {
+    data: *const c_void,
+    len: usize,
+    _kept: Kept,
+}
+
+/// What keeps the memory of a sample.
+#[allow(
+    dead_code,
+    clippy::large_enum_variant,
+    reason = "only dropped, and in a box of its own"
+)]
+enum Kept {
     Sweep(Sweep),
-    /// A message of objects.
     Objects(ObjectsMessage),
 }
 
 /// Both may go from thread to thread: what they are of iceoryx2 has locks of its own.
 const fn is_send<T: Send>() {}
-const _: () = (is_send::<Handle>(), is_send::<Sample>()).0;
+const _: () = (is_send::<Followed>(), is_send::<Kept>()).0;
+
+impl<T> Owned<T> {
+    fn give(what: T) -> *mut Self {
+        let process = process::id();
+        Box::into_raw(Box::new(Self { process, what }))
+    }
+
+    /// What C holds, unless it holds it since before fork().
+    ///
+    /// # Safety
+    /// NULL, or what [`Owned::give`] gave and is not taken back meanwhile.
+    unsafe fn get<'a>(this: *const Self, name: &str) -> Result<&'a T, String> {
+        // SAFETY: as the caller promises.
+        let this = unsafe { this.as_ref() }.ok_or_else(|| format!("the {name} is NULL"))?;
+        match this.process == process::id() {
+            true => Ok(&this.what),
+            false => Err(format!(
+                "this {name} was opened before fork(): open one in this process"
+            )),
+        }
+    }
+
+    /// Drops it; in a child the parent's is left alone.
+    ///
+    /// # Safety
+    /// NULL, or what [`Owned::give`] gave and nobody uses any more.
+    unsafe fn take_back(this: *mut Self) {
+        // SAFETY: as the caller promises.
+        if unsafe { this.as_ref() }.is_some_and(|this| this.process == process::id()) {
+            // SAFETY: `give` made it of a box, and the caller gives it back.
+            drop(unsafe { Box::from_raw(this) });
+        }
+    }
+}
+
+impl Bytes {
+    fn of_sweep(sweep: Sweep) -> Self {
+        let (data, len) = (sweep.bytes().as_ptr().cast(), sweep.bytes().len());
+        let _kept = Kept::Sweep(sweep);
+        Self { data, len, _kept }
+    }
+
+    fn of_objects(message: ObjectsMessage) -> Self {
+        let (data, len) = (message.bytes().as_ptr().cast(), message.bytes().len());
+        let _kept = Kept::Objects(message);
+        Self { data, len, _kept }
+    }
+}
 
 impl Followed {
-    fn next(&mut self, timeout: Duration) -> Result<Next<Sample>, ClientError> {
+    fn next(&mut self, timeout: Duration) -> Result<Next<Bytes>, ClientError> {
         Ok(match self {
-            Self::Sweeps(client) => sample(client.next(timeout)?, Sample::Sweep),
-            Self::Objects(objects) => sample(objects.next(timeout)?, Sample::Objects),
+            Self::Sweeps(client) => sample(client.next(timeout)?, Bytes::of_sweep),
+            Self::Objects(objects) => sample(objects.next(timeout)?, Bytes::of_objects),
         })
     }
 
@@ -75,7 +144,7 @@ impl Followed {
     }
 }
 
-fn sample<T>(next: Next<T>, of: fn(T) -> Sample) -> Next<Sample> {
+fn sample<T>(next: Next<T>, of: fn(T) -> Bytes) -> Next<Bytes> {
     match next {
         Next::Received(what) => Next::Received(of(what)),
         Next::Timeout => Next::Timeout,
@@ -108,9 +177,9 @@ fn caught<T>(failed: T, call: impl FnOnce() -> Result<T, String>) -> T {
 /// # Safety
 /// NULL, or a client that is not closed meanwhile.
 unsafe fn lock<'a>(client: *const Handle) -> Result<MutexGuard<'a, Followed>, String> {
+    // Of another process the lock may be held by a thread that is not in this one.
     // SAFETY: as the caller promises.
-    let client = unsafe { client.as_ref() }.ok_or("the client is NULL")?;
-    let followed = client.0.lock();
+    let followed = unsafe { Owned::get(client, "client") }?.lock();
     followed.map_err(|_| {
         "an earlier call on this client panicked: close it, and open another".to_owned()
     })
@@ -154,7 +223,7 @@ unsafe fn put(text: &str, to: *mut c_char, capacity: usize) -> usize {
 }
 
 fn handle(followed: Followed) -> *mut Handle {
-    Box::into_raw(Box::new(Handle(Mutex::new(followed))))
+    Owned::give(Mutex::new(followed))
 }
 
 /// Version of the ABI of this library.
@@ -231,7 +300,7 @@ pub unsafe extern "C" fn sweepd_client_next(
         match followed.next(timeout) {
             Ok(Next::Received(sample)) => {
                 // SAFETY: as above.
-                unsafe { to.write(Box::into_raw(Box::new(sample))) };
+                unsafe { to.write(Owned::give(sample)) };
                 Ok(RECEIVED)
             }
             Ok(Next::Timeout) if followed.subscriber().is_published() => Ok(TIMEOUT),
@@ -354,10 +423,8 @@ pub unsafe extern "C" fn sweepd_sensors(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sweepd_client_close(client: *mut Handle) {
     caught((), || {
-        if !client.is_null() {
-            // SAFETY: `handle` made it of a box, and the caller gives it back.
-            drop(unsafe { Box::from_raw(client) });
-        }
+        // SAFETY: as the caller promises.
+        unsafe { Owned::take_back(client) };
         Ok(())
     });
 }
@@ -373,19 +440,12 @@ pub unsafe extern "C" fn sweepd_sample_bytes(
 ) -> *const c_void {
     caught(ptr::null(), || {
         // SAFETY: as the caller promises.
-        let bytes = match unsafe { sample.as_ref() } {
-            Some(Sample::Sweep(sweep)) => sweep.bytes(),
-            Some(Sample::Objects(message)) => message.bytes(),
-            None => &[],
-        };
+        let bytes = unsafe { Owned::get(sample, "sample") };
         if !len.is_null() {
             // SAFETY: as the caller promises.
-            unsafe { len.write(bytes.len()) };
+            unsafe { len.write(bytes.as_ref().map_or(0, |bytes| bytes.len)) };
         }
-        match sample.is_null() {
-            true => Err("the sample is NULL".to_owned()),
-            false => Ok(bytes.as_ptr().cast()),
-        }
+        Ok(bytes?.data)
     })
 }
 
@@ -396,10 +456,8 @@ pub unsafe extern "C" fn sweepd_sample_bytes(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sweepd_sample_release(sample: *mut Sample) {
     caught((), || {
-        if !sample.is_null() {
-            // SAFETY: `sweepd_client_next` made it of a box, and the caller gives it back.
-            drop(unsafe { Box::from_raw(sample) });
-        }
+        // SAFETY: as the caller promises.
+        unsafe { Owned::take_back(sample) };
         Ok(())
     });
 }
