@@ -19,8 +19,7 @@ use sweepd_client::client::{
     Client, ClientError, Domain, Next, Objects, ObjectsMessage, Subscriber, Sweep,
 };
 
-/// Version of the ABI: it changes with a function's parameters or meaning. `build.rs` has it, too.
-const ABI_VERSION: u32 = 1;
+mod abi;
 
 const RECEIVED: i32 = 0;
 const TIMEOUT: i32 = 1;
@@ -226,20 +225,20 @@ fn handle(followed: Followed) -> *mut Handle {
     Owned::give(Mutex::new(followed))
 }
 
-/// Version of the ABI of this library.
+/// See `sweepd.h`.
 #[unsafe(no_mangle)]
 pub extern "C" fn sweepd_abi_version() -> u32 {
-    ABI_VERSION
+    abi::VERSION
 }
 
-/// What failed last on this thread: one line, empty where nothing did. Good until the next failure.
+/// See `sweepd.h`.
 #[unsafe(no_mangle)]
 pub extern "C" fn sweepd_error() -> *const c_char {
     let text = ERROR.try_with(|error| error.borrow().as_ptr());
     text.unwrap_or(c"".as_ptr())
 }
 
-/// A client of a sensor's sweeps; NULL where it cannot be.
+/// See `sweepd.h`.
 ///
 /// # Safety
 /// Both are NULL or texts that end in a zero.
@@ -258,7 +257,7 @@ pub unsafe extern "C" fn sweepd_client_open(
     })
 }
 
-/// A client of the objects of the same sensor; NULL where it cannot be.
+/// See `sweepd.h`.
 ///
 /// # Safety
 /// NULL, or a client that is not closed.
@@ -277,7 +276,7 @@ pub unsafe extern "C" fn sweepd_client_objects(client: *mut Handle) -> *mut Hand
     })
 }
 
-/// Waits for the next sweep, or the next objects.
+/// See `sweepd.h`.
 ///
 /// # Safety
 /// `client` is NULL or not closed; `to` is NULL or has room for a pointer.
@@ -315,7 +314,7 @@ pub unsafe extern "C" fn sweepd_client_next(
     })
 }
 
-/// Whether one waits.
+/// See `sweepd.h`.
 ///
 /// # Safety
 /// NULL, or a client that is not closed.
@@ -327,7 +326,7 @@ pub unsafe extern "C" fn sweepd_client_has_next(client: *mut Handle) -> i32 {
     })
 }
 
-/// Sweeps that were published and did not come; 0 for objects.
+/// See `sweepd.h`.
 ///
 /// # Safety
 /// NULL, or a client that is not closed.
@@ -340,7 +339,7 @@ pub unsafe extern "C" fn sweepd_client_missed(client: *mut Handle) -> u64 {
     })
 }
 
-/// How often the service was lost and searched again.
+/// See `sweepd.h`.
 ///
 /// # Safety
 /// NULL, or a client that is not closed.
@@ -350,7 +349,7 @@ pub unsafe extern "C" fn sweepd_client_reopened(client: *mut Handle) -> u64 {
     caught(0, || Ok(unsafe { lock(client) }?.subscriber().reopened()))
 }
 
-/// Whether the service was found.
+/// See `sweepd.h`.
 ///
 /// # Safety
 /// NULL, or a client that is not closed.
@@ -362,7 +361,7 @@ pub unsafe extern "C" fn sweepd_client_is_connected(client: *mut Handle) -> i32 
     })
 }
 
-/// Whether a daemon publishes at present.
+/// See `sweepd.h`.
 ///
 /// # Safety
 /// NULL, or a client that is not closed.
@@ -374,7 +373,7 @@ pub unsafe extern "C" fn sweepd_client_is_published(client: *mut Handle) -> i32 
     })
 }
 
-/// An attribute of the service, as snprintf(3) would write it; `SIZE_MAX` where there is none.
+/// See `sweepd.h`.
 ///
 /// # Safety
 /// `client` is NULL or not closed, `key` NULL or a text that ends in a zero, `text` NULL or has room for
@@ -396,8 +395,7 @@ pub unsafe extern "C" fn sweepd_client_attribute(
     })
 }
 
-/// Names of the sensors of a domain, one a line, as snprintf(3) would write them; `SIZE_MAX` where it
-/// cannot be looked into.
+/// See `sweepd.h`.
 ///
 /// # Safety
 /// `root` is NULL or a text that ends in a zero, `names` NULL or has room for `capacity` bytes.
@@ -416,7 +414,7 @@ pub unsafe extern "C" fn sweepd_sensors(
     })
 }
 
-/// Closes a client. What it gave may be held on.
+/// See `sweepd.h`.
 ///
 /// # Safety
 /// NULL, or a client that no thread uses any more.
@@ -429,7 +427,7 @@ pub unsafe extern "C" fn sweepd_client_close(client: *mut Handle) {
     });
 }
 
-/// Where the bytes of a sample are, and how many.
+/// See `sweepd.h`.
 ///
 /// # Safety
 /// `sample` is NULL or not released; `len` is NULL or has room for a number.
@@ -449,7 +447,7 @@ pub unsafe extern "C" fn sweepd_sample_bytes(
     })
 }
 
-/// Gives a sample back, on any thread, and even after its client was closed.
+/// See `sweepd.h`.
 ///
 /// # Safety
 /// NULL, or a sample that was not released.
