@@ -89,9 +89,9 @@ pub enum SubscribeError {
         /// The name.
         name: String,
     },
-    /// The program holds too many sweeps.
+    /// The program holds too many of a client.
     #[error(
-        "this program holds {BORROWED} sweeps already, and no consumer may hold more; drop one first"
+        "this program holds {BORROWED} sweeps or messages of this client already, and may hold no more; drop one first"
     )]
     TooManyHeld,
 }
