@@ -64,13 +64,14 @@ int follow(Client& client, const std::string& name, const std::string& root, dou
     sweepd::Next how = sweepd::Next::interrupted;
     for (;;) {
         auto next = limit_s > 0.0 ? client.next(std::chrono::duration_cast<std::chrono::nanoseconds>(limit), &how) : client.next();
+        // It was stopped and goes on. It handles no signal: one that is to end it does so.
+        if (!next && how == sweepd::Next::interrupted) continue;
         if (!next) break;
         print(name, *next);
         // Given back before anything may make this wait.
         next.reset();
         std::fflush(stdout);
     }
-    if (how == sweepd::Next::interrupted) return 0;
     const char* why = how == sweepd::Next::unpublished ? ", which nobody publishes" : "";
     std::fprintf(stderr, "consumer: for %g s nothing came of %s%s; there is:", limit_s, name.c_str(), why);
     const auto sensors = sweepd::sensors(root);

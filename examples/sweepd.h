@@ -5,8 +5,10 @@
  *
  *     sweepd_client *client = sweepd_client_open("roof", NULL);
  *     sweepd_sample *sample;
- *     while (sweepd_client_next(client, 1000000000, &sample) == SWEEPD_NEXT_RECEIVED) {
+ *     int32_t next;
+ *     while (!stop && (next = sweepd_client_next(client, 1000000000, &sample)) != SWEEPD_NEXT_FAILED) {
  *         size_t len;
+ *         if (next != SWEEPD_NEXT_RECEIVED) continue;
  *         const void *bytes = sweepd_sample_bytes(sample, &len);
  *         sweepd_sweep sweep;
  *         if (sweepd_open(bytes, len, &sweep) == SWEEPD_OK)
@@ -624,7 +626,8 @@ static inline void sweepd_points_in(const sweepd_sweep *sweep, const float *plan
 /* The version of the library. The loader finds only one of SWEEPD_ABI_VERSION; this is for a program that loads it itself. */
 uint32_t sweepd_abi_version(void);
 
-/* Follows the sweeps, or the objects, of one sensor. Calls from several threads wait for each other. */
+/* Follows the sweeps, or the objects, of one sensor. Calls from several threads wait for each other: while one is in
+ * sweepd_client_next, even the shortest question waits until that ends. Give it a limit. */
 typedef struct sweepd_client sweepd_client;
 
 /* A sweep, or a message of objects, in shared memory, which does not change until it is released. */
@@ -633,11 +636,12 @@ typedef struct sweepd_sample sweepd_sample;
 /* How a wait ended. */
 typedef enum sweepd_next {
     SWEEPD_NEXT_RECEIVED = 0,
-    SWEEPD_NEXT_TIMEOUT = 1,     /* nothing came for so long */
+    SWEEPD_NEXT_TIMEOUT = 1,     /* nothing came within the limit */
     SWEEPD_NEXT_UNPUBLISHED = 2, /* the same, and nobody publishes it at present: sweepd_sensors says what there is */
-    SWEEPD_NEXT_INTERRUPTED = 3, /* the program handled a signal. One that comes between two waits ends neither */
+    SWEEPD_NEXT_INTERRUPTED = 3, /* the program handled a signal, or was stopped and goes on (Ctrl-Z, fg): end if you are told to,
+                                  * else wait again. A signal between two waits ends neither: give a limit, and look at your flag */
     SWEEPD_NEXT_INVALID = 4,     /* what came is no sweep, or no objects, of this layout: sweepd_error. The next may be */
-    SWEEPD_NEXT_FAILED = 5       /* waiting does not mend it: sweepd_error says why, and the cure */
+    SWEEPD_NEXT_FAILED = 5       /* waiting does not mend it: sweepd_error says why, and how to mend it */
 } sweepd_next;
 
 /* What failed last on this thread: one line, "" where nothing did. Good until the next failure on this thread. */
@@ -650,9 +654,9 @@ sweepd_client *sweepd_client_open(const char *sensor, const char *root);
 /* The objects of the same sensor: another client. The daemon notices it within about a second. NULL: sweepd_error. */
 sweepd_client *sweepd_client_objects(sweepd_client *client);
 
-/* Waits for the next, and for the daemon if there is none; at most so many nanoseconds, without a limit where that is negative.
- * Gives a sweepd_next. `sample` is NULL unless one was received. Two sweeps can be held at a time, and with two held this fails;
- * released, the next comes. A program that holds two, or is slow, misses sweeps and delays nobody. */
+/* Waits for the next, and for the daemon if there is none; at most timeout_ns nanoseconds, without a limit where that is negative.
+ * Gives a sweepd_next. `sample` is NULL unless one was received. Two of a client can be held at a time, sweeps or messages, and
+ * with two held this fails; released, the next comes. A program that holds two, or is slow, misses sweeps and delays nobody. */
 int32_t sweepd_client_next(sweepd_client *client, int64_t timeout_ns, sweepd_sample **sample);
 
 /* 1: one waits, and sweepd_client_next would give it at once. */
@@ -671,7 +675,7 @@ uint64_t sweepd_client_missed(sweepd_client *client);
 /* How often the service was lost, such as when its files were deleted, and searched again. */
 uint64_t sweepd_client_reopened(sweepd_client *client);
 
-/* 1: the service was found; the daemon may be gone for all that. */
+/* 1: the service was found; even so, the daemon may be gone. */
 int32_t sweepd_client_is_connected(sweepd_client *client);
 
 /* 1: a daemon publishes it at present. */

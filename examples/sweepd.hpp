@@ -7,8 +7,9 @@
 //         }
 //     }
 //
-// Nothing is copied: planes and tables are spans of the memory that the daemon wrote, which does not change as long as the
-// Sweep is there. Two sweeps of a client can be held at a time. What fails is an exception, sweepd::Error.
+// A loop goes on until the program leaves it; next() tells of a signal, or that nothing comes. Nothing is copied: planes and tables
+// are spans of the memory that the daemon wrote, which does not change as long as the Sweep is there. So a span cannot be had of a
+// Sweep without a name. What fails is an exception, sweepd::Error. sweepd.h says what holds for each function.
 
 #ifndef SWEEPD_HPP
 #define SWEEPD_HPP
@@ -29,10 +30,16 @@
 
 namespace sweepd {
 
-/// What waiting does not mend: what is wrong, and the cure.
+/// What is wrong, and how to mend it. Waiting does not, unless it is Invalid.
 class Error : public std::runtime_error {
 public:
     using std::runtime_error::runtime_error;
+};
+
+/// What came is not valid. What comes next may be: next() may be called again.
+class Invalid : public Error {
+public:
+    using Error::Error;
 };
 
 /// How a wait ended that did not fail.
@@ -41,7 +48,7 @@ enum class Next {
     timeout = SWEEPD_NEXT_TIMEOUT,
     /// Nothing came, and nobody publishes it at present: see sensors().
     unpublished = SWEEPD_NEXT_UNPUBLISHED,
-    /// The program handled a signal.
+    /// The program handled a signal, or was stopped and goes on.
     interrupted = SWEEPD_NEXT_INTERRUPTED,
 };
 
@@ -49,6 +56,8 @@ enum class Next {
 template <class T>
 class Span {
 public:
+    using value_type = T;
+
     Span() = default;
     Span(const T* data, std::size_t size) : data_(data), size_(data == nullptr ? 0 : size) {}
     const T* data() const { return data_; }
@@ -83,19 +92,31 @@ struct Return {
 class Returns {
 public:
     class Iterator {
+        struct Arrow {
+            Return one;
+            const Return* operator->() const { return &one; }
+        };
+
     public:
         using iterator_category = std::input_iterator_tag;
         using value_type = Return;
         using difference_type = std::ptrdiff_t;
-        using pointer = const Return*;
+        using pointer = Arrow;
         using reference = Return;
 
+        Iterator() = default;
         Iterator(const sweepd_sweep* sweep, std::size_t at) : sweep_(sweep), at_(at) { skip(); }
         Return operator*() const;
+        Arrow operator->() const { return {**this}; }
         Iterator& operator++() {
             ++at_;
             skip();
             return *this;
+        }
+        Iterator operator++(int) {
+            const Iterator before = *this;
+            ++*this;
+            return before;
         }
         bool operator==(const Iterator& other) const { return at_ == other.at_; }
         bool operator!=(const Iterator& other) const { return at_ != other.at_; }
@@ -108,8 +129,8 @@ public:
             while (at_ < end() && (plane() == nullptr || !sweepd_is_return(plane()[at_ / 2]))) ++at_;
         }
 
-        const sweepd_sweep* sweep_;
-        std::size_t at_;
+        const sweepd_sweep* sweep_ = nullptr;
+        std::size_t at_ = 0;
     };
 
     explicit Returns(const sweepd_sweep& sweep) : sweep_(&sweep) {}
@@ -173,122 +194,159 @@ std::optional<std::string> text(Write write) {
     }
 }
 
-/// The library has checked the same bytes just before.
-inline void check(sweepd_status status) {
-    if (status == SWEEPD_OTHER_VERSION)
-        throw Error("libsweepd reads another version of the layout than this program, which reads version " +
-                    std::to_string(SWEEPD_LAYOUT_VERSION) + ": build it with the sweepd.h of the library");
-    if (status != SWEEPD_OK) throw Error("the publisher has changed what it had sent, which is not valid any more");
-}
+/// A sample and the view of its bytes. Moved from, it has neither.
+template <class View>
+class Held {
+public:
+    Held(Sample sample, sweepd_status (*open)(const void*, std::size_t, View*), std::uint32_t reads) : sample_(std::move(sample)) {
+        std::size_t len = 0;
+        const void* bytes = sweepd_sample_bytes(sample_.get(), &len);
+        // The library has checked the same bytes just before.
+        const sweepd_status status = open(bytes, len, &view_);
+        if (status == SWEEPD_OTHER_VERSION)
+            throw Error("libsweepd gives version " + std::to_string(view_.header.version) +
+                        " of the layout, and this program reads version " + std::to_string(reads) +
+                        ": build it with the sweepd.h of the library");
+        if (status != SWEEPD_OK) throw Invalid("the publisher has changed what it had sent, which is not valid any more");
+        bytes_ = {static_cast<const std::uint8_t*>(bytes), len};
+    }
+    Held(Held&& other) noexcept
+        : sample_(std::move(other.sample_)), view_(std::exchange(other.view_, View{})), bytes_(std::exchange(other.bytes_, {})) {}
+    Held& operator=(Held&& other) noexcept {
+        sample_ = std::move(other.sample_);
+        view_ = std::exchange(other.view_, View{});
+        bytes_ = std::exchange(other.bytes_, {});
+        return *this;
+    }
+    const View& view() const { return view_; }
+    Span<std::uint8_t> bytes() const { return bytes_; }
+
+private:
+    Sample sample_;
+    View view_{};
+    Span<std::uint8_t> bytes_;
+};
 
 } // namespace detail
 
-/// A sweep in shared memory. It can be moved, and kept longer than its client.
+/// A sweep in shared memory. It can be moved, and kept longer than its client. What leads into its memory cannot be had of a
+/// temporary, with which the memory is given back.
 class Sweep {
 public:
-    explicit Sweep(detail::Sample sample) : sample_(std::move(sample)) {
-        std::size_t len = 0;
-        const void* bytes = sweepd_sample_bytes(sample_.get(), &len);
-        detail::check(sweepd_open(bytes, len, &view_));
-        bytes_ = {static_cast<const std::uint8_t*>(bytes), len};
-    }
+    explicit Sweep(detail::Sample sample) : held_(std::move(sample), sweepd_open, SWEEPD_LAYOUT_VERSION) {}
 
     /// For the functions of sweepd.h.
-    const sweepd_sweep& view() const { return view_; }
+    const sweepd_sweep& view() const& { return held_.view(); }
     /// A copy of the header, the one that was checked.
-    const sweepd_header& header() const { return view_.header; }
-    std::uint32_t rows() const { return view_.rows; }
-    std::uint32_t columns() const { return view_.columns_len; }
-    Span<std::uint8_t> bytes() const { return bytes_; }
+    const sweepd_header& header() const& { return view().header; }
+    std::uint32_t rows() const { return held_.view().rows; }
+    std::uint32_t columns() const { return held_.view().columns_len; }
+    Span<std::uint8_t> bytes() const& { return held_.bytes(); }
 
     // Planes: a value a pixel, column after column, from the top of each; sweepd_pixel is the index. Those with a 2 are empty
     // where the sensor sends one return a shot.
-    Span<float> range() const { return plane(view_.range); }
-    Span<std::uint8_t> reflectivity() const { return plane(view_.reflectivity); }
-    Span<std::uint32_t> label() const { return plane(view_.label); }
-    Span<float> range2() const { return plane(view_.range2); }
-    Span<std::uint8_t> reflectivity2() const { return plane(view_.reflectivity2); }
-    Span<std::uint32_t> label2() const { return plane(view_.label2); }
-    Span<std::uint8_t> kind() const { return plane(view_.kind); }
+    Span<float> range() const& { return plane(view().range); }
+    Span<std::uint8_t> reflectivity() const& { return plane(view().reflectivity); }
+    Span<std::uint32_t> label() const& { return plane(view().label); }
+    Span<float> range2() const& { return plane(view().range2); }
+    Span<std::uint8_t> reflectivity2() const& { return plane(view().reflectivity2); }
+    Span<std::uint32_t> label2() const& { return plane(view().label2); }
+    Span<std::uint8_t> kind() const& { return plane(view().kind); }
 
-    Span<sweepd_column> firings() const { return {view_.columns, view_.columns_len}; }
-    Span<sweepd_beam> beams() const { return {view_.beams, view_.rows}; }
-    Span<sweepd_segment> segments() const { return {view_.segments, view_.segments_len}; }
-    Returns returns() const { return Returns(view_); }
+    Span<sweepd_column> firings() const& { return {view().columns, view().columns_len}; }
+    Span<sweepd_beam> beams() const& { return {view().beams, view().rows}; }
+    Span<sweepd_segment> segments() const& { return {view().segments, view().segments_len}; }
+    Returns returns() const& { return Returns(view()); }
+
+    void view() const&& = delete;
+    void header() const&& = delete;
+    void bytes() const&& = delete;
+    void range() const&& = delete;
+    void reflectivity() const&& = delete;
+    void label() const&& = delete;
+    void range2() const&& = delete;
+    void reflectivity2() const&& = delete;
+    void label2() const&& = delete;
+    void kind() const&& = delete;
+    void firings() const&& = delete;
+    void beams() const&& = delete;
+    void segments() const&& = delete;
+    void returns() const&& = delete;
 
 private:
     template <class T>
     Span<T> plane(const T* data) const {
-        return {data, std::size_t{view_.columns_len} * view_.rows};
+        return {data, std::size_t{columns()} * rows()};
     }
 
-    detail::Sample sample_;
-    sweepd_sweep view_{};
-    Span<std::uint8_t> bytes_;
+    detail::Held<sweepd_sweep> held_;
 };
 
-/// Objects that became known together, in shared memory.
+/// Objects that became known together, in shared memory. As of a Sweep, nothing that leads into it can be had of a temporary.
 class Objects {
 public:
-    explicit Objects(detail::Sample sample) : sample_(std::move(sample)) {
-        std::size_t len = 0;
-        const void* bytes = sweepd_sample_bytes(sample_.get(), &len);
-        detail::check(sweepd_objects_open(bytes, len, &view_));
-    }
+    explicit Objects(detail::Sample sample) : held_(std::move(sample), sweepd_objects_open, SWEEPD_OBJECTS_VERSION) {}
 
-    const sweepd_objects& view() const { return view_; }
-    const sweepd_objects_header& header() const { return view_.header; }
-    Span<sweepd_object> objects() const { return {view_.objects, view_.objects_len}; }
+    const sweepd_objects& view() const& { return held_.view(); }
+    const sweepd_objects_header& header() const& { return view().header; }
+    Span<sweepd_object> objects() const& { return {view().objects, view().objects_len}; }
     /// Of the objects of the sweep, from that with the ordinal header().first_label on.
-    Span<std::uint32_t> labels() const { return {view_.labels, view_.labels_len}; }
+    Span<std::uint32_t> labels() const& { return {view().labels, view().labels_len}; }
+
+    void view() const&& = delete;
+    void header() const&& = delete;
+    void objects() const&& = delete;
+    void labels() const&& = delete;
 
 private:
-    detail::Sample sample_;
-    sweepd_objects view_{};
+    detail::Held<sweepd_objects> held_;
 };
 
-/// Follows the sweeps (Client) or the objects (ObjectsClient) of one sensor. In a loop it gives one after the other; the loop
-/// ends when the program has handled a signal.
+/// What next() gives: a std::optional whose -> cannot be had of a temporary, either.
+template <class T>
+class Maybe : public std::optional<T> {
+public:
+    using std::optional<T>::optional;
+    const T* operator->() const& { return &**this; }
+    void operator->() const&& = delete;
+};
+
+/// Follows the sweeps (Client) or the objects (ObjectsClient) of one sensor. In a loop it gives one after the other, and waits for
+/// them: the loop ends where the program leaves it, or with an Error. A program that is to end while nothing comes calls next() with
+/// a limit.
 template <class T>
 class Following {
 public:
+    struct End {};
+    /// For a loop alone: what it gives is moved and not copied, and held by it until the next.
     class Iterator {
     public:
-        using iterator_category = std::input_iterator_tag;
-        using value_type = T;
-        using difference_type = std::ptrdiff_t;
-        using pointer = const T*;
-        using reference = const T&;
-
-        explicit Iterator(Following* of) : of_(of) {
-            if (of_ != nullptr) ++*this;
-        }
+        explicit Iterator(Following& of) : of_(&of) { ++*this; }
         const T& operator*() const { return *what_; }
         const T* operator->() const { return &*what_; }
         Iterator& operator++() {
             // Given back first: it is not held while waiting.
             what_.reset();
-            what_ = of_->next();
-            if (!what_) of_ = nullptr;
+            // Each signal ends a wait, and so does SIGCONT after Ctrl-Z.
+            while (!what_) what_ = of_->next();
             return *this;
         }
-        bool operator==(const Iterator& other) const { return of_ == other.of_; }
-        bool operator!=(const Iterator& other) const { return of_ != other.of_; }
+        /// Only where next() has thrown.
+        bool operator==(End) const { return !what_; }
+        bool operator!=(End) const { return what_.has_value(); }
 
     private:
         Following* of_;
-        std::optional<T> what_;
+        Maybe<T> what_;
     };
 
-    /// Waits for the next, and for the daemon if there is none, at most so long. If nothing comes, `how` says why. Throws Error.
-    std::optional<T> next(std::chrono::nanoseconds limit, Next* how = nullptr) {
-        return wait(limit.count() < 0 ? 0 : limit.count(), how);
-    }
-    /// The same without a limit: nothing comes only where the program has handled a signal.
-    std::optional<T> next() { return wait(-1, nullptr); }
+    /// Waits for the next, and for the daemon if there is none, at most `limit`. If nothing comes, `how` says why. Throws Error.
+    Maybe<T> next(std::chrono::nanoseconds limit, Next* how = nullptr) { return wait(limit.count() < 0 ? 0 : limit.count(), how); }
+    /// The same without a limit: nothing comes only where the program has handled a signal, or was stopped and goes on.
+    Maybe<T> next() { return wait(-1, nullptr); }
 
-    Iterator begin() { return Iterator(this); }
-    Iterator end() { return Iterator(nullptr); }
+    Iterator begin() { return Iterator(*this); }
+    End end() { return {}; }
 
     /// Whether next() would give one at once.
     bool has_next() const { return sweepd_client_has_next(handle_.get()) != 0; }
@@ -307,13 +365,14 @@ protected:
     sweepd_client* handle() const { return handle_.get(); }
 
 private:
-    std::optional<T> wait(std::int64_t limit_ns, Next* how) {
+    Maybe<T> wait(std::int64_t limit_ns, Next* how) {
         sweepd_sample* sample = nullptr;
         const std::int32_t reason = sweepd_client_next(handle_.get(), limit_ns, &sample);
-        if (reason == SWEEPD_NEXT_INVALID || reason == SWEEPD_NEXT_FAILED) throw Error(sweepd_error());
+        if (reason == SWEEPD_NEXT_INVALID) throw Invalid(sweepd_error());
+        if (reason == SWEEPD_NEXT_FAILED) throw Error(sweepd_error());
         if (how != nullptr) *how = static_cast<Next>(reason);
         if (sample == nullptr) return std::nullopt;
-        return T(detail::Sample(sample));
+        return Maybe<T>(std::in_place, detail::Sample(sample));
     }
 
     detail::Handle handle_;

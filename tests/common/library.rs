@@ -47,7 +47,7 @@ pub fn compile(compiler: &str, options: &[&str], source: &Path, program: &Path) 
     let mut command = Command::new(compiler);
     command
         .args(options)
-        .args(["-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I"])
+        .args("-O2 -Wall -Wextra -Wpedantic -Wconversion -Wshadow -Werror -I".split(' '))
         .arg(root().join("examples"))
         .arg(source)
         .arg("-o")

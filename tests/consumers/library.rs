@@ -16,7 +16,7 @@ use super::hostile::{Case, Fate, Hostile, cases, node, schema, service_name};
 use super::python::{Talk, loans, mapped, publish};
 use super::sweeps::Source;
 use super::{folder, objects};
-use crate::common::library::c_program;
+use crate::common::library::{c_program, compile};
 use crate::common::temp_domain;
 use sweepd_lab::testkit::TempDomain;
 
@@ -152,7 +152,7 @@ fn what_c_holds_stays_when_its_client_is_gone_and_is_released_on_any_thread() {
             (&said["next"], &said["error"]),
             (&json!(FAILED), &json!(error))
         );
-        assert!(error.contains("holds 2 sweeps already"), "{error}");
+        assert!(error.contains("holds 2 sweeps"), "{error}");
         (4..40).for_each(|sequence| publish(&mut loans, sequence));
         assert_eq!(c.ask("leave"), json!({"held": 2, "same": 1}));
         assert!(c.end().success());
@@ -211,6 +211,29 @@ fn c_refuses_any_bytes_in_the_words_of_rust() {
     assert!(c.end().success());
 }
 
+/// Then the loop is entered again. Stopped and continued, it goes on.
+#[test]
+#[cfg_attr(without_compilers, ignore = "no compilers")]
+fn a_loop_in_cpp_ends_with_invalid_bytes_alone() {
+    let (own, program) = (temp_domain(), folder("library_loop").join("loop"));
+    let source = super::of_project("tests/consumers/loop.cpp");
+    compile("c++", &["-std=c++17"], &source, &program);
+    let hostile = Hostile::new(&own);
+    let c = Talk::start(program.as_os_str(), &[own.root().as_os_str()]);
+    assert_eq!(c.line(), "there");
+    let mut client = Client::within(&own.domain(), "roof").unwrap();
+    assert!(client.next(Duration::ZERO).unwrap().received().is_none());
+    for case in cases() {
+        hostile.send(&case.bytes, &case.preamble);
+        let expected = match client.next(SOON) {
+            Ok(_) => "taken".to_owned(),
+            Err(error) => error.to_string(),
+        };
+        c.stop_and_continue();
+        assert_eq!(c.line(), expected, "{}", case.name);
+    }
+}
+
 #[test]
 #[cfg_attr(without_compilers, ignore = "no compilers")]
 fn c_fails_in_the_words_of_rust() {
@@ -246,6 +269,23 @@ fn c_fails_in_the_words_of_rust() {
 fn c_may_make_mistakes() {
     let output = Command::new(program()).arg("wrong").output().unwrap();
     assert!(output.status.success(), "{output:?}");
+}
+
+/// The number in the name for the loader is that of the header.
+#[test]
+#[cfg_attr(without_compilers, ignore = "no compilers")]
+fn the_loader_asks_for_the_abi_version_of_the_header() {
+    let mut readelf = Command::new("readelf");
+    let library = crate::common::library::library().join("libsweepd.so");
+    let output = readelf.arg("-d").arg(library).output().unwrap();
+    let said = String::from_utf8(output.stdout).unwrap();
+    let header = std::fs::read_to_string(super::of_project("examples/sweepd.h")).unwrap();
+    let (_, version) = header.split_once("#define SWEEPD_ABI_VERSION ").unwrap();
+    let (version, _) = version.split_once('u').unwrap();
+    assert!(
+        said.contains(&format!("[libsweepd.so.{version}]")),
+        "{said}"
+    );
 }
 
 /// The symbols of the library are the functions of the header, and no others: two libraries with

@@ -83,6 +83,27 @@ impl Talk {
         self.json()
     }
 
+    #[track_caller]
+    pub fn signal(&self, name: &str) {
+        let id = self.id().to_string();
+        assert!(
+            Command::new("kill")
+                .args([name, &id])
+                .status()
+                .unwrap()
+                .success()
+        );
+    }
+
+    /// As Ctrl-Z and `fg` of a shell do; it waits before and after.
+    pub fn stop_and_continue(&self) {
+        for name in ["-STOP", "-CONT"] {
+            std::thread::sleep(Duration::from_millis(20));
+            self.signal(name);
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+
     /// Waits for its end.
     #[track_caller]
     pub fn end(&mut self) -> std::process::ExitStatus {
