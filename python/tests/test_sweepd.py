@@ -7,6 +7,7 @@ import os
 import pathlib
 import pydoc
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -84,7 +85,7 @@ class Replayed(unittest.TestCase):
         self.assertEqual(sweeps[1].sensor, "192.168.1.201:2368")
         self.assertEqual((sweeps[1].name, sweeps[1].header["model"]), ("", 1))
         # Less than a turn is an error that names the option; with it, the part is given.
-        with self.assertRaisesRegex(sweepd.SweepdError, "no whole turn.*--partial"):
+        with self.assertRaisesRegex(sweepd.SweepdError, "no whole turn.*`partial=True`"):
             next(sweepd.replay(LOSSES, end=0.05))
         self.assertEqual(len(list(sweepd.replay(LOSSES, end=0.05, partial=True))), 1)
         # Half of it, by a loop that ends early, and one whose iterator is dropped.
@@ -128,6 +129,28 @@ class Replayed(unittest.TestCase):
             self.assertGreater(len(sweeps), 3)
             self.assertIn("replayed", logs.output[0])
         self.assertEqual(children(), [])
+
+    def test_the_program_of_a_wheel_is_beside_it(self):
+        with tempfile.TemporaryDirectory() as folder:
+            top = pathlib.Path(folder)
+            package = top / "a/b/sweepd"
+            shutil.copytree(pathlib.Path(sweepd.__file__).parent, package)
+            (package / "libsweepd.so").touch()
+            foreign, own = top / "bin/sweepd", top / "a/b/bin/sweepd"
+            for program in (foreign, own):
+                program.parent.mkdir()
+            foreign.write_text("#!/bin/sh")
+            foreign.chmod(0o755)
+            own.touch()
+            code = "import sys; sys.prefix = '/none'; from sweepd import _replay; print(_replay._program(None))"
+            environment = {"PATH": f"{top}/path", "PYTHONPATH": str(package.parent)}
+            python = [sys.executable, "-c", code]
+            # That beside it is none yet: it cannot be executed.
+            said = subprocess.run(python, env=environment, capture_output=True, text=True)
+            self.assertIn("no program `sweepd` in PATH", said.stderr)
+            own.chmod(0o755)
+            said = subprocess.run(python, env=environment, capture_output=True, text=True)
+            self.assertEqual(said.stdout.strip(), str(own), said.stderr)
 
     def script(self, line):
         """Give a program that does this."""
@@ -203,9 +226,9 @@ class Running(unittest.TestCase):
         self.addCleanup(folder.cleanup)
         self.root = f"{folder.name}/root"
         command = [PROGRAM, "replay", DUAL, "--publish", "roof", "--loop", "--root", self.root]
-        publisher = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        self.addCleanup(publisher.wait)
-        self.addCleanup(publisher.terminate)
+        self.publisher = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        self.addCleanup(self.publisher.wait)
+        self.addCleanup(self.publisher.terminate)
         self.client = sweepd.Client("roof", self.root)
         self.assertIsNotNone(self.client.next(timeout=60))
 
@@ -215,7 +238,10 @@ class Running(unittest.TestCase):
         for at in range(2):
             with self.assertRaises(ValueError):
                 kept[at].flags.writeable = True
-        with self.assertRaisesRegex(sweepd.SweepdError, "holds 2 sweeps"):
+        with self.assertRaisesRegex(sweepd.SweepdError, "holds.*sweeps"):
+            self.client.next(timeout=60)
+        is_told = self.assertRaisesRegex(sweepd.SweepdError, "holds.*in a notebook, show `sweep.copy")
+        with mock.patch.dict(sys.modules, IPython=None), is_told:
             self.client.next(timeout=60)
         # Given back by another thread.
         thread = threading.Thread(target=kept.pop)
@@ -239,8 +265,51 @@ class Running(unittest.TestCase):
             self.assertIsNone(typo.next(timeout=1))
         self.assertEqual(len(logs.output), 1)
         self.assertRegex(logs.output[0], "sweeps of `typo`.*: `roof`")
-        with self.assertRaisesRegex(sweepd.SweepdError, "cannot be the name"):
-            sweepd.Client("")
+        for wrong in ("", "roof\0x", self.root, "\udcff", "x" * 300):
+            with self.assertRaisesRegex(sweepd.SweepdError, "cannot be the name"):
+                sweepd.Client(wrong, self.root)
+        with self.assertRaisesRegex(sweepd.SweepdError, "is a str.* not b'roof'"):
+            sweepd.Client(b"roof", self.root)
+        with self.assertRaisesRegex(sweepd.SweepdError, "cannot be a folder"):
+            sweepd.sensors(f"{self.root}\0x")
+
+    def test_silence_is_told(self):
+        objects = self.client.objects()
+        with self.assertLogs("sweepd", "WARNING") as logs:
+            self.assertIsNone(objects.next(timeout=4))
+        self.assertRegex(logs.output[0], "`roof` is published, but without objects")
+        # It cannot say that it is gone.
+        self.publisher.kill()
+        self.publisher.wait()
+        while self.client.next(timeout=0) is not None:
+            pass
+        with self.assertLogs("sweepd", "WARNING") as logs:
+            for _ in range(5):
+                self.assertIsNone(self.client.next(timeout=1))
+        self.assertEqual(len(logs.output), 1)
+        self.assertRegex(logs.output[0], "nothing comes of `roof`: is its daemon alive")
+
+    def test_a_forked_child_makes_a_client_of_its_own(self):
+        held = self.client.next(timeout=60)
+        for _ in range(40):
+            child = os.fork()
+            if child == 0:
+                status = 1
+                try:
+                    with self.assertRaisesRegex(sweepd.SweepdError, "process that forked: make one here"):
+                        self.client.next(timeout=0)
+                    with self.assertRaisesRegex(sweepd.SweepdError, "make one here"):
+                        self.client.objects()
+                    self.assertIn("the process that forked", repr(self.client))
+                    # It ends as those of multiprocessing do: nothing is closed.
+                    status = 0 if sweepd.Client("roof", self.root).next(timeout=60) is not None else 2
+                finally:
+                    os._exit(status)
+            self.assertEqual(os.waitpid(child, 0)[1], 0)
+        del held
+        self.assertIsNone(self.publisher.poll())
+        for _ in range(3):
+            self.assertIsNotNone(self.client.next(timeout=60))
 
     def test_what_is_followed_shows_itself(self):
         sweep = self.client.next(timeout=60)
@@ -271,6 +340,7 @@ class Running(unittest.TestCase):
     def test_a_missing_library_and_another_version_are_told(self):
         for change, words in (
             (mock.patch.dict(os.environ, SWEEPD_LIBRARY="/none.so"), "/none.so.*install a wheel"),
+            (mock.patch.dict(os.environ, SWEEPD_LIBRARY="libc.so.6"), "libc.so.6 is not the library of sweepd"),
             (mock.patch.object(_library, "ABI_VERSION", 99), "version 1 of its interface.* version 99"),
         ):
             _library.library.cache_clear()
@@ -283,6 +353,8 @@ class Running(unittest.TestCase):
             text = pydoc.plaintext.document(of)
             for name in of.__annotations__:
                 self.assertRegex(text, f"(?m)^ \\|  {name}\n \\|      [(A]")
+        for name in ("name", "root", "model", "is_published"):
+            self.assertRegex(pydoc.plaintext.document(sweepd.Client), f"(?m)^ \\|  {name}\n \\|      [A-Z]")
 
 
 class Geometry(unittest.TestCase):

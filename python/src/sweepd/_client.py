@@ -8,6 +8,7 @@ from ._followed import Followed
 from ._library import encoded, library
 from ._objects import Objects
 from ._sweep import Sweep
+from .layout import SweepdError
 
 if TYPE_CHECKING:
     import os
@@ -23,15 +24,21 @@ class Client(Followed[Sweep]):
     * It must run as the daemon's user. Another one is refused with both names.
     * Its sweeps are views into the memory that the daemon wrote. What you hold never changes, but no consumer may hold
       more than two sweeps: `sweep.copy()`, or copy an array, and drop the rest. A consumer that holds two, or is slow,
-      delays neither the daemon nor other consumers: it misses sweeps, which `missed` counts.
+      delays neither the daemon nor other consumers: it misses sweeps, which `missed` counts. A notebook holds what the
+      last line of a cell gives: end it with `sweep.copy()`.
     * A client belongs to one thread; arrays of its sweeps may go to others.
+    * A client belongs to one process. After a fork (`multiprocessing` with "fork", workers of a `DataLoader`) the child
+      makes a client of its own, and sweeps that the parent held may change there: copy them before.
     """
 
     _topic = "sweeps"
 
     def __init__(self, name: str, root: str | os.PathLike[str] | None = None) -> None:
-        """Follow the sensor of this name. `root`: the daemon's folder, if not the default one."""
-        super().__init__(name, root, library().sweepd_client_open(name.encode(), encoded(root)))
+        """Follow the sensor of this name. `root`: the daemon's folder, if not the default one.
+
+        Raises `SweepdError` for what is no name.
+        """
+        super().__init__(name, root, library().sweepd_client_open(_name(name), encoded(root)))
 
     @property
     def missed(self) -> int:
@@ -42,7 +49,7 @@ class Client(Followed[Sweep]):
         return Sweep(data)
 
     def latest(self, timeout: float | None = None) -> Sweep | None:
-        """Do as `next`, but of several sweeps that wait give the newest."""
+        """Like `next`, but returns the newest of several waiting sweeps."""
         sweep = self.next(timeout)
         while sweep is not None and self._opened.call("has_next"):
             # Given back first: no more than two may be held.
@@ -53,3 +60,13 @@ class Client(Followed[Sweep]):
     def objects(self) -> Objects:
         """Follow the objects of the same sensor while its head turns."""
         return Objects(self)
+
+
+def _name(name: str) -> bytes:
+    """Give the name of a sensor as the library takes it."""
+    if not isinstance(name, str):
+        raise SweepdError(f'the name of a sensor is a str, as in Client("roof"), and not {name!r}')
+    # A zero would end it in C. Others than these are the library's to refuse.
+    if "/" in name or not name.isprintable():
+        raise SweepdError(f"{name!r} cannot be the name of a sensor: it has a slash, or what cannot be printed")
+    return name.encode()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import logging
 import os
+import sys
 import threading
 import time
 import weakref
@@ -26,8 +27,8 @@ LOG = logging.getLogger("sweepd")
 
 # How long the library waits at once, seconds: a signal that comes between two waits is handled after that.
 WAIT_S = 0.2
-# How long nobody publishes a sensor before the log says so, seconds: a daemon is restarted faster.
-UNPUBLISHED_S = 3.0
+# How long nothing comes before the log says so, seconds: a daemon is restarted faster.
+SILENT_S = 3.0
 
 
 class Followed(Generic[T]):
@@ -40,12 +41,10 @@ class Followed(Generic[T]):
         """Follow what was opened, unless that failed."""
         if not opened:
             raise SweepdError(_library.error())
-        self.name = name
-        """Name of the sensor."""
-        self.root = root
-        """The daemon's folder; `None`: the default one."""
+        self._name = name
+        self._root = root
         self._opened = _Opened(opened)
-        self._unpublished_since: float | None = None
+        self._silent_since: float | None = None
         weakref.finalize(self, self._opened.close)
 
     def __iter__(self) -> Iterator[T]:
@@ -68,6 +67,8 @@ class Followed(Generic[T]):
 
     def _told(self) -> dict[str, str]:
         """What is said of it."""
+        if self._opened.is_of_parent():
+            return {"sensor": self.name, "of": "the process that forked"}
         published = ("yes" if self.is_published else "no") if self.is_connected else "not found yet"
         told = {"sensor": self.name, "published": published}
         if self.model is not None:
@@ -81,13 +82,26 @@ class Followed(Generic[T]):
         raise NotImplementedError
 
     @property
+    def name(self) -> str:
+        """Name of the sensor."""
+        return self._name
+
+    @property
+    def root(self) -> str | os.PathLike[str] | None:
+        """The daemon's folder; `None`: the default one."""
+        return self._root
+
+    @property
     def is_connected(self) -> bool:
-        """Whether the service was found; the daemon may be gone for all that."""
+        """Whether the service was found; the daemon may be gone since."""
         return bool(self._opened.call("is_connected"))
 
     @property
     def is_published(self) -> bool:
-        """Whether a daemon publishes at the moment, once the service was found."""
+        """Whether a daemon publishes at the moment, once the service was found.
+
+        A daemon that was killed could not say so, and still counts: only that sweeps come tells that it is alive.
+        """
         return bool(self._opened.call("is_published"))
 
     @property
@@ -112,8 +126,8 @@ class Followed(Generic[T]):
     def next(self, timeout: float | None = None) -> T | None:
         """Wait for the next, and for the daemon if there is none, but at most `timeout` seconds; `None` then.
 
-        While nobody publishes it, a warning in the log `sweepd` names after three seconds what there is instead. Raises
-        `SweepdError` for what waiting longer does not mend.
+        After three seconds without any, a warning in the log `sweepd` says what there is instead. Raises `SweepdError` for
+        what does not pass by waiting.
         """
         deadline = None if timeout is None else time.monotonic() + timeout
         while True:
@@ -121,24 +135,33 @@ class Followed(Generic[T]):
             sample = _Sample()
             reason = self._opened.next(min(rest_s, WAIT_S), sample)
             if reason == _library.RECEIVED:
-                self._unpublished_since = None
+                self._silent_since = None
                 return self._received(sample.array())
             self._warn_of(reason)
             if rest_s == 0.0 and reason != _library.INTERRUPTED:
                 return None
 
     def _warn_of(self, reason: int) -> None:
-        """Say once, when nobody has published it for a while, what there is."""
+        """Say once, when nothing has come for a while, what there is."""
         now = time.monotonic()
-        if reason == _library.TIMEOUT:
-            self._unpublished_since = None
-        elif self._unpublished_since is None:
-            self._unpublished_since = now
-        elif now - self._unpublished_since >= UNPUBLISHED_S:
-            self._unpublished_since = float("inf")
-            names = ", ".join(f"`{name}`" for name in _library.sensors(self.root))
-            there = f"what is published here: {names}" if names else "nor anything else here: is sweepd running?"
-            LOG.warning("nobody publishes the %s of `%s`, %s (still waiting)", self._topic, self.name, there)
+        if reason == _library.INTERRUPTED:
+            return
+        if self._silent_since is None:
+            self._silent_since = now
+        elif now - self._silent_since >= SILENT_S:
+            self._silent_since = float("inf")
+            LOG.warning("%s (still waiting)", self._silence(reason))
+
+    def _silence(self, reason: int) -> str:
+        """Why nothing comes, as far as can be told."""
+        there = _library.sensors(self.root)
+        if reason == _library.UNPUBLISHED and self.name not in there:
+            names = ", ".join(f"`{name}`" for name in there)
+            others = f"what is published here: {names}" if names else "nor anything else here: is sweepd running?"
+            return f"nobody publishes the {self._topic} of `{self.name}`, {others}"
+        if reason == _library.UNPUBLISHED and self._topic == "objects":
+            return f"`{self.name}` is published, but without objects"
+        return f"nothing comes of `{self.name}`: is its daemon alive, and its sensor on?"
 
 
 class _Opened:
@@ -150,8 +173,15 @@ class _Opened:
         # A signal's handler, which runs in between, may use it.
         self._lock = threading.RLock()
 
+    def is_of_parent(self) -> bool:
+        """Whether the process was forked since."""
+        return os.getpid() != self._process
+
     def call(self, function: str, *args: Any) -> Any:
         """Call the function of the library that has this name behind `sweepd_client_`."""
+        # Before the lock, which a thread of the parent may have held.
+        if self.is_of_parent():
+            raise SweepdError("this client is of the process that forked: make one here")
         with self._lock:
             if self._client is None:
                 raise SweepdError("the program ends, and its clients are closed")
@@ -163,12 +193,15 @@ class _Opened:
         if reason == _library.INVALID:
             raise LayoutError(_library.error())
         if reason == _library.FAILED:
-            raise SweepdError(_library.error())
+            said = _library.error()
+            # A cell whose last line is a sweep keeps it in Out[].
+            is_held = "holds" in said and "IPython" in sys.modules
+            raise SweepdError(f"{said}; in a notebook, show `sweep.copy()`" if is_held else said)
         return reason
 
     def close(self) -> None:
-        """Give back its place among the consumers, unless it is a parent's: the process was forked since."""
-        if os.getpid() == self._process:
+        """Give back its place among the consumers, unless it is a parent's."""
+        if not self.is_of_parent():
             with self._lock:
                 client, self._client = self._client, None
                 library().sweepd_client_close(client)

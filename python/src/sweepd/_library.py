@@ -50,8 +50,12 @@ def library() -> ctypes.CDLL:
             f"cannot load the library through which daemons are read ({error}): install a wheel of sweepd that is made for "
             f"this machine, or name a {NAME} in the variable SWEEPD_LIBRARY"
         ) from None
-    loaded.sweepd_abi_version.restype = ctypes.c_uint32
-    found = loaded.sweepd_abi_version()
+    try:
+        version = loaded.sweepd_abi_version
+    except AttributeError:
+        raise SweepdError(f"{name} is not the library of sweepd: name a {NAME} in the variable SWEEPD_LIBRARY") from None
+    version.restype = ctypes.c_uint32
+    found = version()
     if found != ABI_VERSION:
         raise SweepdError(
             f"{name} has version {found} of its interface, and this package calls version {ABI_VERSION}: install both of "
@@ -83,7 +87,12 @@ def text(function: Callable[..., int], *args: Any) -> str | None:
 
 def encoded(root: str | os.PathLike[str] | None) -> bytes | None:
     """Give a daemon's folder as the library takes it; `None` is the default one."""
-    return None if root is None else os.fsencode(root)
+    if root is None:
+        return None
+    folder = os.fsencode(root)
+    if b"\0" in folder:
+        raise SweepdError(f"{root!r} cannot be a folder: it has a zero byte")
+    return folder
 
 
 def sensors(root: str | os.PathLike[str] | None = None) -> list[str]:
