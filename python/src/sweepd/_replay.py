@@ -6,12 +6,14 @@ import logging
 import os
 import shutil
 import subprocess
+import sys
 import tempfile
-from importlib import metadata
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Union
 
 import numpy as np
 
+from ._library import NAME as LIBRARY
 from ._sweep import Sweep
 from .layout import HEADER, LayoutError, SweepdError
 
@@ -53,6 +55,8 @@ def replay(
         said.seek(0)
         text = said.read().decode(errors="replace").strip()
         if child.returncode != 0:
+            # The cure, in this language.
+            text = text.replace("--partial gives", "`partial=True` gives")
             raise SweepdError(text or f"{command[0]} ended with code {child.returncode}")
         for line in text.splitlines():
             LOG.log(logging.WARNING if line.startswith("warning") else logging.INFO, "%s", line)
@@ -70,11 +74,14 @@ def _program(binary: str | os.PathLike[str] | None) -> str:
 
 def _of_wheel() -> str | None:
     """The program that came with this package: PATH has not that of a venv that is not activated."""
-    try:
-        files = metadata.files("sweepd") or []
-    except metadata.PackageNotFoundError:
-        return None
-    return next((os.path.realpath(file.locate()) for file in files if file.parts[-2:] == ("bin", "sweepd")), None)
+    package = Path(__file__).parent
+    # A wheel has both or none, and `pip --target` has a bin beside its packages.
+    if (package / LIBRARY).exists():
+        for folder in (package.parent, Path(sys.prefix)):
+            program = folder / "bin/sweepd"
+            if program.is_file() and os.access(program, os.X_OK):
+                return str(program)
+    return None
 
 
 def _arguments(options: dict[str, Any]) -> list[str]:
