@@ -10,6 +10,7 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 PROGRAMS = ("sweepd", "sweepd-view", "sweepd-lab", "sweepd-db3")
 LIBRARY = "libsweepd.so"
+NOTICES = "copyright"
 # Machines by `e_machine` of an ELF header, which is in bytes 18 and 19.
 MACHINES = {62: "x86_64", 183: "aarch64"}
 
@@ -24,7 +25,9 @@ class Programs(BuildHookInterface[Any]):
         """Say what goes where, and on which machines it runs."""
         given = os.environ.get("SWEEPD_PROGRAMS")
         folder = Path(given or Path(self.root, "../target/release")).absolute()
-        missing = [name for name in (*PROGRAMS, LIBRARY) if not (folder / name).is_file()]
+        # A release has the licences of the crates in its programs, too.
+        wanted = (*PROGRAMS, LIBRARY, *((NOTICES,) if given else ()))
+        missing = [name for name in wanted if not (folder / name).is_file()]
         if missing and given:
             raise FileNotFoundError(f"SWEEPD_PROGRAMS: {folder} has no {', '.join(missing)}")
         if missing or version == "editable":
@@ -34,6 +37,5 @@ class Programs(BuildHookInterface[Any]):
         build_data.update(pure_python=False, tag=f"py3-none-linux_{machine}")
         build_data["shared_scripts"] = {str(folder / name): name for name in PROGRAMS}
         build_data["force_include"][str(folder / LIBRARY)] = f"sweepd/{LIBRARY}"
-        # Licences of the crates in them.
-        for notice in folder.glob("copyright"):
-            build_data["force_include"][str(notice)] = "sweepd/copyright"
+        if given:
+            build_data["force_include"][str(folder / NOTICES)] = f"sweepd/{NOTICES}"

@@ -71,8 +71,8 @@ class Fleet(unittest.TestCase):
             full.mkdir()
             shutil.copy(FIXTURES[0], full)
             none = "has no captures"
-            cases = [((), "usage"), ((f"{folder}/none", "out"), none), ((full, full), none), ((TOP / "python", "out"), none)]
-            for args, words in cases:
+            wrong = [(f"{folder}/none", "out"), (full, full), (TOP / "python", "out")]
+            for args, words in [((), "usage"), *((args, none) for args in wrong)]:
                 script = TOP / "examples/python/fleet.py"
                 said = subprocess.run([sys.executable, script, *args], capture_output=True, text=True, cwd=folder)
                 self.assertEqual((said.returncode, said.stdout, said.stderr.count("\n")), (1, "", 1), said.stderr)

@@ -36,7 +36,7 @@ class ObjectsMessage(Headed):
     def __init__(self, data: Any) -> None:
         """Check and copy `data`, the bytes of a message: an array of u8, or what NumPy takes for one.
 
-        Raises `LayoutError` for what is none.
+        Raises `LayoutError` for what is no message.
         """
         if not isinstance(data, np.ndarray):
             data = np.frombuffer(data, np.uint8)

@@ -142,7 +142,7 @@ LABEL = np.dtype("<u4")
 
 
 class SweepdError(Exception):
-    """No sweeps can be had, and waiting longer does not mend it."""
+    """No sweeps can be had, and that does not pass by waiting."""
 
 
 class LayoutError(SweepdError):
