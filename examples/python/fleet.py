@@ -41,8 +41,9 @@ def label(capture, out):
     try:
         with pq.ParquetWriter(unfinished, SCHEMA) as table:
             # One thread: the cluster has a process for each core.
-            for count, sweep in enumerate(sweepd.replay(capture, jobs=1), start=1):
+            for sweep in sweepd.replay(capture, jobs=1):
                 table.write_table(rows(sweep))
+                count += 1
         os.replace(unfinished, out)
     except sweepd.SweepdError as error:
         return str(error)
