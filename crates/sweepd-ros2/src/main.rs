@@ -290,11 +290,14 @@ impl Sensors<'_, '_> {
         let mut trouble = None;
         while !self.over.load(Ordering::Relaxed) {
             let now = Instant::now();
+            let known = self.bridges.len();
             if search_at.is_some_and(|at| at <= now) {
                 search_at = Some(now + SEARCH_EVERY);
                 self.search(&mut trouble)?;
             }
-            if !self.bridges.is_empty() && !self.remaps_are_told {
+            // A daemon that starts publishes one sensor after another.
+            let is_settled = search_at.is_none() || known == self.bridges.len();
+            if is_settled && !self.bridges.is_empty() && !self.remaps_are_told {
                 self.remaps_are_told = true;
                 self.tell_remaps();
             }
