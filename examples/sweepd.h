@@ -662,7 +662,8 @@ int32_t sweepd_client_next(sweepd_client *client, int64_t timeout_ns, sweepd_sam
 /* 1: one waits, and sweepd_client_next would give it at once. */
 int32_t sweepd_client_has_next(sweepd_client *client);
 
-/* Where the bytes of a sample are, for sweepd_open or sweepd_objects_open: the memory that the daemon wrote, read-only. */
+/* Where the bytes of a sample are, for sweepd_open or sweepd_objects_open: the memory that the daemon wrote, read-only.
+ * Several threads may ask at once. */
 const void *sweepd_sample_bytes(const sweepd_sample *sample, size_t *len);
 
 /* Gives a sample back, on any thread, and even after its client was closed. */

@@ -381,6 +381,23 @@ fn cpp_examples(test: &str) -> PathBuf {
     build
 }
 
+/// Also where the host has one installed: only an empty root is searched.
+#[test]
+#[cfg_attr(without_compilers, ignore = "no compilers")]
+fn cmake_says_where_cpp_gets_the_library_that_is_not_there() {
+    let folder = folder("cpp_none");
+    let mut cmake = Command::new("cmake");
+    cmake.args("-DCMAKE_PREFIX_PATH=none -DCMAKE_FIND_ROOT_PATH_MODE_LIBRARY=ONLY".split(' '));
+    cmake.arg(format!("-DCMAKE_FIND_ROOT_PATH={}", folder.display()));
+    cmake.arg("-S").arg(of_project("examples"));
+    let output = cmake.arg("-B").arg(folder.join("build")).output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(!output.status.success());
+    for words in ["libsweepd-dev", "cargo build", "CMAKE_PREFIX_PATH"] {
+        assert!(said.contains(words), "{said}");
+    }
+}
+
 #[test]
 #[cfg_attr(without_compilers, ignore = "no compilers")]
 fn the_cpp_consumer_prints_a_line_a_sweep_and_ends_when_nothing_comes() {
