@@ -436,10 +436,23 @@ impl Discovery {
         is_there
     }
 
-    /// Whether what comes from an address comes from where a participant is.
-    pub fn is_at(&self, prefix: Prefix, source: Ipv4Addr, own: &OwnAddresses) -> bool {
-        let participant = self.participants.get(&prefix);
-        participant.is_some_and(|one| one.data.is_at(source, own))
+    /// Something comes from an address: whether that is where its participant is, whose lease begins anew
+    /// then. One that had to pause tells of itself again after its lease alone.
+    pub fn hears(
+        &mut self,
+        prefix: Prefix,
+        source: Ipv4Addr,
+        own: &OwnAddresses,
+        now: Instant,
+    ) -> bool {
+        let Some(participant) = self.participants.get_mut(&prefix) else {
+            return false;
+        };
+        let is_there = participant.data.is_at(source, own);
+        if is_there {
+            participant.heard = now;
+        }
+        is_there
     }
 
     /// The host from which a participant has acknowledged something.
@@ -664,9 +677,10 @@ mod tests {
         // The third has acknowledged nothing.
         assert!(discovery.expire(after(5)).0.is_empty());
         assert_eq!(discovery.expire(after(6)).0, [[3; 12]]);
-        assert!(discovery.expire(after(10)).0.is_empty());
-        assert_eq!(discovery.expire(after(11)).0, [[1; 12]]);
-        assert!(discovery.expire(after(25)).0.is_empty());
+        assert!(discovery.hears([1; 12], Ipv4Addr::LOCALHOST, &[], after(9)));
+        assert!(!discovery.hears([1; 12], Ipv4Addr::new(8, 8, 8, 8), &[], after(10)));
+        assert!(discovery.expire(after(19)).0.is_empty());
+        assert_eq!(discovery.expire(after(20)).0, [[1; 12]]);
         assert_eq!(discovery.expire(after(26)).0, [[2; 12]]);
     }
 }

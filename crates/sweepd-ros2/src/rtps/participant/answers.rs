@@ -42,12 +42,15 @@ impl Shared {
         submessage: Submessage,
         out: &mut Outbox,
     ) {
-        let is_there = state.discovery.is_at(prefix, source, &state.addresses);
+        let now = Instant::now();
+        let is_there = (state.discovery).hears(prefix, source, &state.addresses, now);
         match submessage {
             Submessage::Data(data) if data.writer == wire::PARTICIPANTS_WRITER => {
                 if data.disposed {
-                    state.discovery.forget(prefix);
-                    state.forget(prefix);
+                    if is_there {
+                        state.discovery.forget(prefix);
+                        state.forget(prefix);
+                    }
                 } else if let Some(meets) =
                     ParticipantData::read(data.payload, source, &state.addresses)
                 {
