@@ -290,20 +290,24 @@ impl Sensors<'_, '_> {
         let mut trouble = None;
         while !self.over.load(Ordering::Relaxed) {
             let now = Instant::now();
-            let known = self.bridges.len();
+            let mut is_settled = search_at.is_none();
             if search_at.is_some_and(|at| at <= now) {
                 search_at = Some(now + SEARCH_EVERY);
+                let known = self.bridges.len();
                 self.search(&mut trouble)?;
+                // A daemon that starts publishes one sensor after another.
+                is_settled = known == self.bridges.len();
             }
-            // A daemon that starts publishes one sensor after another.
-            let is_settled = search_at.is_none() || known == self.bridges.len();
             if is_settled && !self.bridges.is_empty() && !self.remaps_are_told {
                 self.remaps_are_told = true;
                 self.tell_remaps();
             }
             self.start_clock()?;
             if diagnose_at <= now {
-                diagnose_at = now.max(diagnose_at + DIAGNOSE_EVERY);
+                diagnose_at += DIAGNOSE_EVERY;
+                if diagnose_at <= now {
+                    diagnose_at = now + DIAGNOSE_EVERY;
+                }
                 diagnostics.publish(self.domain, self.bridges.values().map(|bridge| &**bridge));
             }
             let bridges: Vec<&Bridge> = self.bridges.values().map(|bridge| &**bridge).collect();

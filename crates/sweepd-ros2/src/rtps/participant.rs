@@ -246,7 +246,11 @@ impl Participant {
         let counts = writer.map_or_else(Vec::new, |(_, writer)| writer.reader_counts());
         drop(state);
         let transport = &self.shared.transport;
-        let with_memory = |count: ReaderCount| (count, transport.memory(count.place));
+        let with_memory = |count: ReaderCount| {
+            let has_lost = count.skipped > 0;
+            let memory = has_lost.then(|| transport.memory(count.place)).flatten();
+            (count, memory)
+        };
         counts.into_iter().map(with_memory).collect()
     }
 
