@@ -333,17 +333,22 @@ fn c_program(table: &Table) -> String {
         );
     }
     for (plane, format) in PLANES {
-        let cast = if format == "%u" {
-            "(unsigned)"
-        } else {
-            "(double)"
-        };
+        let cast = cast(format);
         text += &format!(
             "    for (at = 0; at < sweep.rows * sweep.columns_len; at++) \
              printf(\"{plane}.%u {format}\\n\", at, {cast}sweep.{plane}[at]);\n"
         );
     }
     text + "    printf(\"end\\n\");\n    return 0;\n}\n"
+}
+
+/// What printf takes for this format.
+fn cast(format: &str) -> &'static str {
+    if format == "%u" {
+        "(unsigned)"
+    } else {
+        "(double)"
+    }
 }
 
 fn cpp_program(table: &Table) -> String {
@@ -361,11 +366,7 @@ fn cpp_program(table: &Table) -> String {
         text += &format!("    each(\"{one}\", sweep.{all}(), put_{one});\n");
     }
     for (plane, format) in PLANES {
-        let cast = if format == "%u" {
-            "(unsigned)"
-        } else {
-            "(double)"
-        };
+        let cast = cast(format);
         text += &format!(
             "    {{ int at = 0; for (auto value : sweep.{plane}()) printf(\"{plane}.%d {format}\\n\", at++, {cast}value); }}\n"
         );

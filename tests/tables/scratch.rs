@@ -46,7 +46,9 @@ fn build() -> PathBuf {
     .unwrap();
     let programs = target.join("debug");
     if !programs.exists() {
-        take_over(&programs).unwrap();
+        let half = target.join("debug.new");
+        take_over(&half).unwrap();
+        fs::rename(&half, &programs).unwrap();
     }
     // A test of each program, since these need it: as tests, other crates have the features that
     // they were compiled with.
@@ -68,12 +70,19 @@ fn build() -> PathBuf {
 /// Takes over what is compiled of other crates: from nothing, that takes minutes.
 fn take_over(to: &Path) -> io::Result<()> {
     let from = Path::new(env!("CARGO_TARGET_TMPDIR")).with_file_name("debug");
+    if to.exists() {
+        fs::remove_dir_all(to)?;
+    }
     fs::create_dir_all(to.join("deps"))?;
     for made in fs::read_dir(from.join("deps"))? {
         let path = made?.path();
         let kind = path.extension().unwrap_or_default();
         if ["d", "rlib", "rmeta", "so"].map(OsStr::new).contains(&kind) {
-            fs::hard_link(&path, to.join("deps").join(path.file_name().unwrap()))?;
+            match fs::hard_link(&path, to.join("deps").join(path.file_name().unwrap())) {
+                // Another cargo has replaced it meanwhile.
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                linked => linked?,
+            }
         }
     }
     // With their times, by which cargo knows what is new.
