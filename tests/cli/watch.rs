@@ -303,7 +303,7 @@ fn ctrl_c_ends_it_well() {
 fn names_that_are_none_are_refused() {
     let own = temp_domain();
     let long = "x".repeat(300);
-    for name in ["", &long] {
+    for name in ["", "a/b", &long] {
         let ran = sweepd(&["watch", name, "--root", own.root().to_str().unwrap()]);
         ran.says(&["cannot be the name of a sensor"]);
     }

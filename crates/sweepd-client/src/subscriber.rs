@@ -23,8 +23,8 @@ use sweepd_sweep::layout::{LAYOUT_VERSION, LayoutError};
 use crate::domain::{Domain, DomainError};
 use crate::join::{JoinError, node};
 use crate::service::{
-    BORROWED, FileState, Ipc, Preamble, ServiceFile, Topic, attributes, overhead_bytes,
-    sensor_name, service_name,
+    BORROWED, FileState, Ipc, NAME_RULE, Preamble, ServiceFile, Topic, attributes, is_sensor_name,
+    overhead_bytes, sensor_name, service_name,
 };
 use crate::{host, leftovers};
 
@@ -45,7 +45,7 @@ pub enum SubscribeError {
     #[error(transparent)]
     Join(#[from] JoinError),
     /// No name of a service.
-    #[error("`{name}` cannot be the name of a sensor: it is empty or too long")]
+    #[error("`{name}` cannot be the name of a sensor: expected {NAME_RULE}")]
     Name {
         /// The name.
         name: String,
@@ -222,7 +222,8 @@ impl Subscriber {
     /// # Errors
     /// [`SubscribeError::Name`].
     pub fn new(domain: &Domain, name: &str, topic: Topic) -> Result<Self, SubscribeError> {
-        let service = service_name(name, topic).ok_or_else(|| SubscribeError::Name {
+        let service = is_sensor_name(name).then(|| service_name(name, topic));
+        let service = service.flatten().ok_or_else(|| SubscribeError::Name {
             name: name.to_owned(),
         })?;
         Ok(Self {

@@ -66,7 +66,5 @@ def _name(name: str) -> bytes:
     """Give the name of a sensor as the library takes it."""
     if not isinstance(name, str):
         raise SweepdError(f'the name of a sensor is a str, as in Client("roof"), and not {name!r}')
-    # A zero would end it in C. Others than these are the library's to refuse.
-    if "/" in name or not name.isprintable():
-        raise SweepdError(f"{name!r} cannot be the name of a sensor: it has a slash, or what cannot be printed")
-    return name.encode()
+    # A zero would end it in C. The library refuses what is left in its place.
+    return name.encode(errors="replace").replace(b"\0", b"?")
