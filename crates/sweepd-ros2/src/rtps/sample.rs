@@ -1,8 +1,8 @@
 //! A sample that a writer keeps and sends.
 
-use super::wire::{self, Guid, SampleId, Timestamp};
-
 use std::time::Instant;
+
+use super::wire::{self, Guid, SampleId, Timestamp};
 
 /// What a sample is.
 pub enum Body {

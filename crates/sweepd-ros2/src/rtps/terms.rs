@@ -1,7 +1,8 @@
 //! What writers offer and readers ask for, and how the two go together (DDS 1.4, section 2.2.3).
 
-use super::discovery::Endpoint;
 use std::time::Duration;
+
+use super::discovery::Endpoint;
 
 /// What an endpoint of ours offers, or asks for.
 #[derive(Clone, Debug)]

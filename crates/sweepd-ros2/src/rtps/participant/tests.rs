@@ -642,8 +642,21 @@ fn samples_in_the_name_of_another_are_not_taken() {
     let out = receive(&heartbeat, elsewhere);
     assert!(out.messages.is_empty());
     receive(&ended(prefix, Side::Writers, WRITER, 2), elsewhere);
+    // Nor that it has gone.
+    let route = Route {
+        reader: wire::ANY_READER,
+        writer: wire::PARTICIPANTS_WRITER,
+        number: 2,
+    };
+    let mut good_bye = Message::new(prefix);
+    good_bye.disposal(route, Guid::new(prefix, wire::PARTICIPANT), 0);
+    receive(&good_bye, elsewhere);
     receive(&sample(1), there);
     assert_eq!(reader.inbox.take().unwrap().id.number, 1);
+    // By itself it goes.
+    receive(&good_bye, there);
+    receive(&sample(2), there);
+    assert!(reader.inbox.take().is_none());
 }
 
 #[test]
