@@ -619,7 +619,8 @@ static inline void sweepd_points_in(const sweepd_sweep *sweep, const float *plan
  *
  * A client and its samples belong to the process that opened the client. After fork() the child cannot use those of its parent: the
  * functions fail, and sweepd_client_close and sweepd_sample_release do nothing, so that the parent keeps what it holds. The child
- * opens a client of its own. Nor may it read bytes that it found before fork(): the parent may give them back at any time. */
+ * opens a client of its own. Nor may it read bytes that it found before fork(): the parent may give them back at any time.
+ * A child in a PID namespace of its own, which may have its parent's number there, must not touch them at all. */
 
 #define SWEEPD_ABI_VERSION 1u /* of the functions below */
 

@@ -124,9 +124,8 @@ public:
     private:
         // The place counts both planes: an odd one is of the other.
         const float* plane() const { return at_ % 2 == 0 ? sweep_->range : sweep_->range2; }
-        std::size_t end() const { return std::size_t{2} * sweep_->columns_len * sweep_->rows; }
         void skip() {
-            while (at_ < end() && (plane() == nullptr || !sweepd_is_return(plane()[at_ / 2]))) ++at_;
+            while (at_ < places(*sweep_) && (plane() == nullptr || !sweepd_is_return(plane()[at_ / 2]))) ++at_;
         }
 
         const sweepd_sweep* sweep_ = nullptr;
@@ -135,9 +134,11 @@ public:
 
     explicit Returns(const sweepd_sweep& sweep) : sweep_(&sweep) {}
     Iterator begin() const { return {sweep_, 0}; }
-    Iterator end() const { return {sweep_, std::size_t{2} * sweep_->columns_len * sweep_->rows}; }
+    Iterator end() const { return {sweep_, places(*sweep_)}; }
 
 private:
+    static std::size_t places(const sweepd_sweep& sweep) { return std::size_t{2} * sweep.columns_len * sweep.rows; }
+
     const sweepd_sweep* sweep_;
 };
 

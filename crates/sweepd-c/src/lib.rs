@@ -75,8 +75,8 @@ enum Kept {
     Objects(ObjectsMessage),
 }
 
-/// Both may go from thread to thread: what they are of iceoryx2 has locks of its own.
 const fn is_send<T: Send>() {}
+// Clients and samples may be used and dropped on any thread.
 const _: () = (is_send::<Followed>(), is_send::<Kept>()).0;
 
 impl<T> Owned<T> {

@@ -14,7 +14,7 @@ NAME = "libsweepd.so"
 # The interface of the library that this package calls.
 ABI_VERSION = 1
 
-# Why `sweepd_client_next` returned: sweepd_next_t.
+# Why `sweepd_client_next` returned: `sweepd_next` of sweepd.h.
 RECEIVED, TIMEOUT, UNPUBLISHED, INTERRUPTED, INVALID, FAILED = range(6)
 
 _POINTER, _TEXT, _SIZE = ctypes.c_void_p, ctypes.c_char_p, ctypes.c_size_t
