@@ -20,7 +20,7 @@ from unittest import mock
 
 import numpy as np
 import sweepd
-from sweepd import _library, layout
+from sweepd import _library, _show, layout
 
 PROGRAM = os.environ["SWEEPD"]
 TOP = pathlib.Path(__file__).parents[2]
@@ -315,7 +315,7 @@ class Running(unittest.TestCase):
         sweep = self.client.next(timeout=60)
         self.assertRegex(repr(sweep), f"roof, sequence {sweep.sequence}, .*{len(sweep.columns)} x 16")
         self.assertRegex(repr(self.client), "Client sensor roof, published yes")
-        self.assertIn("<td>&lt;b&gt;</td>", sweepd.Client("<b>", self.root)._repr_html_())
+        self.assertIn("<td>&lt;b&gt;</td>", _show.table("Client", {"sensor": "<b>"}))
         png = __import__("base64").b64decode(re.search('base64,([^"]*)', sweep._repr_html_()).group(1))
         size = int.from_bytes(png[33:37], "big")
         pixels = np.frombuffer(zlib.decompress(png[41 : 41 + size]), np.uint8).reshape(16, -1)[:, 1:]
