@@ -66,12 +66,29 @@ impl Gap {
     /// far aside.
     #[inline(always)]
     pub fn along<S: Simd>(self, flat: f32x16<S>, chords: f32x16<S>) -> i16x16<S> {
-        let gap = (flat * self.rad).max(self.least).min(self.most) + self.beyond;
+        let gap = self.of(flat);
         let across = flat * chords;
-        let along = (gap * gap - across * across).max(0.0).sqrt() + 0.5;
-        let (low, high) = along.to_int::<i32x16<S>>().split();
-        low.saturating_narrow(high)
+        round((gap * gap - across * across).max(0.0).sqrt())
     }
+
+    /// The same in one column, where the chord is 0: the root of a square is the number itself, to
+    /// the bit.
+    #[inline(always)]
+    pub fn straight<S: Simd>(self, flat: f32x16<S>) -> i16x16<S> {
+        round(self.of(flat))
+    }
+
+    #[inline(always)]
+    fn of<S: Simd>(self, flat: f32x16<S>) -> f32x16<S> {
+        (flat * self.rad).max(self.least).min(self.most) + self.beyond
+    }
+}
+
+/// To whole steps.
+#[inline(always)]
+fn round<S: Simd>(steps: f32x16<S>) -> i16x16<S> {
+    let (low, high) = (steps + 0.5).to_int::<i32x16<S>>().split();
+    low.saturating_narrow(high)
 }
 
 /// Which flat ranges are as near as they may be.
@@ -143,8 +160,9 @@ pub(super) struct Limits {
     pub above: &'static [usize],
     /// Row after row: the rows of its windows, from above.
     window: Vec<WindowRow>,
-    /// Cosine of the elevation, row by row.
+    /// Cosine and tangent of the elevation, row by row.
     cos: Vec<f32>,
+    tan: Vec<f64>,
 }
 
 impl Limits {
@@ -156,17 +174,19 @@ impl Limits {
         self.chords = Chords::new(pitch_rad);
         self.above = if are_dense(beams) { DENSE } else { SPARSE };
         self.cos.clear();
-        self.window.clear();
-        for (row, beam) in beams.iter().enumerate() {
+        self.tan.clear();
+        for beam in beams {
             let elevation_rad = f64::from(beam.elevation_rad);
             self.cos.push(elevation_rad.cos() as f32);
+            self.tan.push(elevation_rad.tan());
+        }
+        self.window.clear();
+        for (row, tan) in self.tan.iter().enumerate() {
             for down in downs(self.above) {
                 let other = row
                     .checked_add_signed(down)
-                    .and_then(|other| beams.get(other));
-                let rise = other.map_or(0.0, |other| {
-                    elevation_rad.tan() - f64::from(other.elevation_rad).tan()
-                });
+                    .and_then(|other| self.tan.get(other));
+                let rise = tan - other.unwrap_or(tan);
                 let furthest = f64::from(HIGHEST_M * STEPS) / rise.abs();
                 self.window.push(WindowRow {
                     down,

@@ -250,9 +250,7 @@ impl Runs {
             .along(flat, f32x16::splat(simd, limits.chords.of(1)));
         let left = near(here, self.flat.load(simd, lane - 1), along);
         found.along |= u128::from(left.to_bitmask()) << (STRIP + first);
-        let along = limits
-            .gap
-            .along(flat, f32x16::splat(simd, limits.chords.of(0)));
+        let along = limits.gap.straight(flat);
         for place in 0..limits.above.len() {
             let row = limits.up(row, place + 1);
             let above = self
