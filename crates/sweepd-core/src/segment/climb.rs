@@ -27,6 +27,8 @@ pub(super) struct Climb {
     pub ground: [Words; MAX_ROWS],
     /// The columns that were read, row by row.
     spots: Box<[Spots; MAX_ROWS]>,
+    /// What they are found to be.
+    found: Box<[ClimbedRow; MAX_ROWS]>,
 }
 
 impl Default for Climb {
@@ -35,12 +37,13 @@ impl Default for Climb {
             height_m: None,
             ground: [[0; 3]; MAX_ROWS],
             spots: Box::new([Spots::default(); MAX_ROWS]),
+            found: Box::new([ClimbedRow::default(); MAX_ROWS]),
         }
     }
 }
 
 /// What the columns of a row are found to be: a bit each.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy, Debug, Default)]
 struct ClimbedRow {
     /// Steep over its foot.
     steep: u64,
@@ -64,44 +67,42 @@ impl Climb {
     /// Climbs the columns that were read, from this position on.
     #[inline(always)]
     pub fn next<S: Simd>(&mut self, simd: S, beams: &Beams, ranges: &Ranges, position: usize) {
-        let mut rows = [ClimbedRow::default(); MAX_ROWS];
         let upwards = beams.upwards();
+        self.found[..upwards.len()].fill(ClimbedRow::default());
         if let Some(height_m) = self.height_m {
             for (row, spots) in self.spots[..beams.rows()].iter_mut().enumerate() {
                 spots.place(simd, height_m, beams, ranges, row, position);
             }
-            self.find_steep(simd, ranges, upwards, &mut rows);
-            let faces = faces(ranges, upwards, &rows);
-            self.climb(simd, ranges, upwards, &faces, &mut rows);
+            self.find_steep(simd, ranges, upwards);
+            let faces = faces(ranges, upwards, &self.found);
+            self.climb(simd, ranges, upwards, &faces);
         }
-        self.settle(ranges, upwards, &rows);
+        self.settle(ranges, upwards);
     }
 
     /// What is steep over its foot, the last return below it that is not.
     #[inline(always)]
-    fn find_steep<S: Simd>(
-        &self,
-        simd: S,
-        ranges: &Ranges,
-        upwards: &[usize],
-        rows: &mut [ClimbedRow; MAX_ROWS],
-    ) {
-        for first in (0..STRIP).step_by(S::i16s::LEN) {
-            let mut foot = Spot::below_sensor(simd);
+    fn find_steep<S: Simd>(&mut self, simd: S, ranges: &Ranges, upwards: &[usize]) {
+        for first in (0..STRIP).step_by(2 * S::i16s::LEN) {
+            // Two vectors side by side: in each, a row has to wait for the one below it.
+            let mut feet = [Spot::below_sensor(simd); 2];
             for &row in upwards {
                 if is_empty::<S>(ranges.read[row], first) {
                     continue;
                 }
-                let real = is_real(simd, ranges, row, first);
-                let here = self.spots[row].load(simd, first);
-                let rise = here.height.saturating_sub(foot.height);
-                let apart: S::i16s = (here.away - foot.away).abs();
-                let steep = rise.saturating_add(MAX_STEP).simd_gt(in_height::<S>(apart)) & real;
-                let step = steep & rise.simd_gt(MAX_STEP);
-                let found = &mut rows[row];
-                found.steep |= steep.to_bitmask() << first;
-                found.step |= step.to_bitmask() << first;
-                foot = here.or(foot, real & !steep);
+                for (side, foot) in feet.iter_mut().enumerate() {
+                    let first = first + side * S::i16s::LEN;
+                    let real = is_real(simd, ranges, row, first);
+                    let here = self.spots[row].load(simd, first);
+                    let rise = here.height.saturating_sub(foot.height);
+                    let apart: S::i16s = (here.away - foot.away).abs();
+                    let steep = rise.saturating_add(MAX_STEP).simd_gt(in_height::<S>(apart)) & real;
+                    let step = steep & rise.simd_gt(MAX_STEP);
+                    let found = &mut self.found[row];
+                    found.steep |= steep.to_bitmask() << first;
+                    found.step |= step.to_bitmask() << first;
+                    *foot = here.or(*foot, real & !steep);
+                }
             }
         }
     }
@@ -109,41 +110,44 @@ impl Climb {
     /// Follows the ground, and what stands on it.
     #[inline(always)]
     fn climb<S: Simd>(
-        &self,
+        &mut self,
         simd: S,
         ranges: &Ranges,
         upwards: &[usize],
         faces: &[u64; MAX_ROWS],
-        rows: &mut [ClimbedRow; MAX_ROWS],
     ) {
-        for first in (0..STRIP).step_by(S::i16s::LEN) {
-            let mut climber = Climber::new(simd);
+        for first in (0..STRIP).step_by(2 * S::i16s::LEN) {
+            // Side by side, as above.
+            let mut climbers = [Climber::new(simd); 2];
             for &row in upwards {
                 if is_empty::<S>(ranges.read[row], first) {
                     continue;
                 }
-                let real = is_real(simd, ranges, row, first);
-                let face = S::mask16s::from_bitmask(simd, faces[row] >> first);
-                let here = self.spots[row].load(simd, first);
-                let step = climber.step(here, real, face);
-                let found = &mut rows[row];
-                found.sure |= step.sure.to_bitmask() << first;
-                found.doubt |= step.doubt.to_bitmask() << first;
-                found.low |= step.low.to_bitmask() << first;
-                found.goes_on |= step.goes_on.to_bitmask() << first;
-                found.comes_down |= step.comes_down.to_bitmask() << first;
-                found.ends |= step.ends.to_bitmask() << first;
+                for (side, climber) in climbers.iter_mut().enumerate() {
+                    let first = first + side * S::i16s::LEN;
+                    let real = is_real(simd, ranges, row, first);
+                    let face = S::mask16s::from_bitmask(simd, faces[row] >> first);
+                    let here = self.spots[row].load(simd, first);
+                    let step = climber.step(here, real, face);
+                    let found = &mut self.found[row];
+                    found.sure |= step.sure.to_bitmask() << first;
+                    found.doubt |= step.doubt.to_bitmask() << first;
+                    found.low |= step.low.to_bitmask() << first;
+                    found.goes_on |= step.goes_on.to_bitmask() << first;
+                    found.comes_down |= step.comes_down.to_bitmask() << first;
+                    found.ends |= step.ends.to_bitmask() << first;
+                }
             }
         }
     }
 
     /// Settles what waited, from the top.
     #[inline(always)]
-    fn settle(&mut self, ranges: &Ranges, upwards: &[usize], rows: &[ClimbedRow; MAX_ROWS]) {
+    fn settle(&mut self, ranges: &Ranges, upwards: &[usize]) {
         let mut is_ground = 0;
         let mut is_object = 0;
         for &row in upwards.iter().rev() {
-            let found = &rows[row];
+            let found = &self.found[row];
             let ground = found.sure | found.low & is_ground | found.doubt & !is_object;
             push(&mut self.ground[row], ground);
             let waits = (found.doubt | found.low) & !found.ends | !ranges.read[row];
@@ -168,10 +172,10 @@ fn faces(ranges: &Ranges, upwards: &[usize], rows: &[ClimbedRow; MAX_ROWS]) -> [
     faces
 }
 
-/// Whether none of the columns that a vector has from one on was read.
+/// Whether none of the columns that two vectors have from one on was read.
 #[inline(always)]
 fn is_empty<S: Simd>(read: u64, first: usize) -> bool {
-    (read >> first).trailing_zeros() as usize >= S::i16s::LEN
+    (read >> first).trailing_zeros() as usize >= 2 * S::i16s::LEN
 }
 
 /// Which of the columns from one on hold a return.
@@ -288,6 +292,7 @@ impl<S: Simd> Spot<S> {
 }
 
 /// The climb of as many columns as a vector has lanes.
+#[derive(Clone, Copy)]
 struct Climber<S: Simd> {
     /// The ground that the way leads on from.
     foothold: Spot<S>,
