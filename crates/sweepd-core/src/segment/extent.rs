@@ -30,13 +30,16 @@ impl Extent {
     fn close(&mut self, order: Order) {
         let mut columns = std::mem::take(&mut self.columns);
         while columns != 0 {
-            let here = self.strip + columns.trailing_zeros() as usize;
-            columns &= columns - 1;
+            // The next columns without a hole.
+            let first = columns.trailing_zeros();
+            let count = (columns >> first).trailing_ones();
+            columns &= columns.wrapping_add(1 << first);
+            let here = self.strip + first as usize;
             let [first, last] = self.ends.unwrap_or([here; 2]);
             if here - last > 1 {
                 self.look_at_hole([last, here], order);
             }
-            self.ends = Some([first, here]);
+            self.ends = Some([first, here + count as usize - 1]);
         }
     }
 
