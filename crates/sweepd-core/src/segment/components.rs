@@ -3,12 +3,13 @@
 //! A run that is joined to nothing before it begins a piece. A component is known by its root, the
 //! piece of it that began first; its measures stand there.
 
-use fearless_simd::{Simd, f32x4, prelude::*};
+use fearless_simd::{Simd, f32x4, f32x16, mask32x16, prelude::*};
 use zerocopy::FromZeros;
 
 use super::area;
 use super::joining::Joining;
-use super::points::RowPoints;
+use super::order::LANES;
+use super::points::{RowPoints, quarters};
 use crate::sweep::Segment;
 use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_NONE};
 
@@ -69,7 +70,8 @@ pub(super) struct Near {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sum {
     pub points: u32,
-    /// What they show to the sensor, as [`area`] counts it.
+    /// What they show to the sensor, as [`area`] counts it; of a component, no more is added once
+    /// it is too much for a small one.
     pub area: u64,
     /// Index of its first pixel in the planes.
     pub first: u32,
@@ -102,15 +104,27 @@ impl Sum {
         count: usize,
         first: usize,
     ) -> Self {
-        let mut least = f32x4::splat(simd, f32::INFINITY);
-        let mut most = f32x4::splat(simd, f32::NEG_INFINITY);
-        let mut total = f32x4::splat(simd, 0.0);
-        for point in points.run(column, count).chunks_exact(4) {
-            let point = f32x4::from_slice(simd, point);
-            least = least.min(point);
-            most = most.max(point);
-            total += point;
+        let high = f32x16::splat(simd, f32::INFINITY);
+        let low = f32x16::splat(simd, f32::NEG_INFINITY);
+        let zero = f32x16::splat(simd, 0.0);
+        let (mut least, mut most, mut total) = (high, low, zero);
+        // Sixteen points at once, in or out: where a run ends, no branch can be predicted.
+        for done in (0..count).step_by(LANES) {
+            let inside = u64::MAX >> (64 - 4 * (count - done).min(LANES));
+            for four in 0..4 {
+                let is = mask32x16::from_bitmask(simd, inside >> (16 * four) & 0xFFFF);
+                let point = points.four(simd, column + done + 4 * four);
+                least = least.min(is.select(point, high));
+                most = most.max(is.select(point, low));
+                total += is.select(point, zero);
+            }
         }
+        let [a, b, c, d] = quarters(least);
+        let least = a.min(b).min(c.min(d));
+        let [a, b, c, d] = quarters(most);
+        let most = a.max(b).max(c.max(d));
+        let [a, b, c, d] = quarters(total);
+        let total = (a + b) + (c + d);
         let [x, y, z, _]: [f32; 4] = total.to_array();
         Self {
             points: count as u32,
@@ -223,6 +237,12 @@ impl Components {
         self.small.is(sum.points, sum.area)
     }
 
+    /// Whether a component is small by what it shows so far.
+    #[inline(always)]
+    pub fn shows_little(&self, root: u32) -> bool {
+        self.sums[root as usize].area < self.small.area
+    }
+
     /// What a component measures so far.
     #[inline(always)]
     pub fn sum(&self, root: u32) -> Sum {
@@ -290,13 +310,13 @@ impl Components {
             if large != u32::MAX {
                 let sum = self.sums[root as usize];
                 self.sums[large as usize].add(simd, &sum);
+                self.parent[root as usize] = large;
             }
         }
         for root in 0..self.parent.len() as u32 {
-            let (_, _, large) = self.nearest[root as usize];
             let sum = &self.sums[root as usize];
             let is_root = self.parent[root as usize] == root;
-            if is_root && large == u32::MAX && sum.points >= min_points.max(1) {
+            if is_root && sum.points >= min_points.max(1) {
                 self.order.push((sum.first, root));
             }
         }
@@ -311,14 +331,9 @@ impl Components {
             *segment = self.sums[root as usize].segment(number);
         }
         for piece in 0..self.parent.len() {
-            let root = self.parent[piece] as usize;
-            let (_, _, large) = self.nearest[root];
-            let to = if large == u32::MAX {
-                root
-            } else {
-                large as usize
-            };
-            self.label[piece] = self.label[to];
+            // The root, or that of the one that it has become part of.
+            let root = self.parent[self.parent[piece] as usize];
+            self.label[piece] = self.label[root as usize];
         }
         self.order.len()
     }

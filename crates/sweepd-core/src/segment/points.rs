@@ -7,7 +7,7 @@ use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, f32x16, prelude::*, u32
 use super::config::Config;
 use super::directions::Directions;
 use super::mount::{Mount, Stance};
-use super::order::{AHEAD, LANES, MAX_ROWS, Order, STRIP};
+use super::order::{AHEAD, LANES, MAX_ROWS, Order, STRIP, load};
 use super::ranges::Ranges;
 use super::turn::turn_rad;
 use crate::sweep::corrected::Corrected;
@@ -309,13 +309,14 @@ fn dot<S: Simd>(a: [f32x16<S>; 3], b: [f32x16<S>; 3]) -> f32x16<S> {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// The points of a row of the strip at hand: x, y, z and the range of each, column after column.
+/// The points of a row of the strip at hand: x, y, z and the range of each, column after column, and
+/// room for sixteen that are asked for and left out.
 #[derive(Clone, Debug)]
-pub(super) struct RowPoints(Box<[f32; 4 * STRIP]>);
+pub(super) struct RowPoints(Box<[f32; 4 * (STRIP + LANES)]>);
 
 impl Default for RowPoints {
     fn default() -> Self {
-        Self(Box::new([0.0; 4 * STRIP]))
+        Self(Box::new([0.0; 4 * (STRIP + LANES)]))
     }
 }
 
@@ -338,24 +339,27 @@ impl RowPoints {
             }
             let range = ranges.load(simd, row, first);
             let [x, y, z] = beams.points(simd, beam, position + first, range);
-            let [x, y, z, range] = [quarters(x), quarters(y), quarters(z), quarters(range)];
-            for quarter in 0..4 {
-                let lanes = [x[quarter], y[quarter], z[quarter], range[quarter]];
-                let into = 4 * (first + 4 * quarter);
-                f32x4::store_four_interleaved(lanes, &mut self.0[into..into + LANES]);
+            let (low_xz, high_xz) = x.interleave(z);
+            let (low_yr, high_yr) = y.interleave(range);
+            let (first_four, second) = low_xz.interleave(low_yr);
+            let (third, fourth) = high_xz.interleave(high_yr);
+            for (four, points) in [first_four, second, third, fourth].iter().enumerate() {
+                let into = 4 * (first + 4 * four);
+                points.store_slice(&mut self.0[into..into + LANES]);
             }
         }
     }
 
-    /// The points of some columns: four numbers each.
+    /// The points of four columns.
     #[inline(always)]
-    pub fn run(&self, first: usize, count: usize) -> &[f32] {
-        &self.0[4 * first..4 * (first + count)]
+    pub fn four<S: Simd>(&self, simd: S, first: usize) -> f32x16<S> {
+        load(simd, &self.0[..], 4 * first)
     }
 }
 
+/// The fours of sixteen numbers.
 #[inline(always)]
-fn quarters<S: Simd>(lanes: f32x16<S>) -> [f32x4<S>; 4] {
+pub(super) fn quarters<S: Simd>(lanes: f32x16<S>) -> [f32x4<S>; 4] {
     let (low, high): (f32x8<S>, f32x8<S>) = lanes.split();
     let (first, second) = low.split();
     let (third, fourth) = high.split();

@@ -12,7 +12,7 @@ use fearless_simd::{Simd, f32x16, i16x16, mask16x16, prelude::*, u16x16};
 use super::area::Areas;
 use super::components::{Components, Sum};
 use super::near::{Limits, near, to_float};
-use super::order::{BEFORE, LANES, MOST_ABOVE, Order, Plane, STRIDE, STRIP, lane_of};
+use super::order::{BEFORE, LANES, MOST_ABOVE, MOST_ROWS, Order, Plane, STRIDE, STRIP, lane_of};
 use super::points::{Beams, RowPoints};
 use super::ranges::{NO_RETURN, Ranges};
 
@@ -122,7 +122,7 @@ impl Runs {
         super::order::reserve(&mut self.names, rows * (BEFORE + STRIP));
         self.from = 0;
         self.jumps = 0;
-        self.flat.fill(NO_RETURN);
+        self.flat[..lane_of(rows + MOST_ROWS) - BEFORE].fill(NO_RETURN);
         self.edges.clear();
         self.edges.resize(rows, Edges::default());
         self.heads.clear();
@@ -374,8 +374,10 @@ impl Runs {
                 if count > 0 {
                     let pixel = columns.least(first, count) * rows + row;
                     sum = Sum::of_run(simd, &self.points, row, first, count, pixel);
-                    let lane = lane_of(row) + first;
-                    sum.area = areas.of(row, &ranges.steps[lane..lane + count]);
+                    if components.shows_little(root) {
+                        let lane = lane_of(row) + first;
+                        sum.area = areas.of(row, &ranges.steps[lane..lane + count]);
+                    }
                     components.measure(simd, root, &sum);
                 }
                 if self.keeps_sums {
