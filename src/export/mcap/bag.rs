@@ -40,7 +40,7 @@ pub(super) struct TopicContents {
     pub(super) message_type: &'static str,
     /// Quality of service as rosbag2 writes it since Jazzy.
     pub(super) offered: &'static str,
-    pub(super) messages: u32,
+    pub(super) messages: u64,
 }
 
 impl BagFolder {
@@ -87,7 +87,7 @@ impl BagFolder {
 impl Contents {
     fn metadata(&self, file: &str) -> String {
         let file = quoted(file);
-        let messages: u64 = self.topics.iter().map(|one| u64::from(one.messages)).sum();
+        let messages: u64 = self.topics.iter().map(|one| one.messages).sum();
         let duration_ns = self.last_ns - self.first_ns;
         let begun_ns = self.first_ns;
         let mut topics = String::new();

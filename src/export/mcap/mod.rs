@@ -7,6 +7,7 @@
 //! index, and a reader that reads from the beginning does without.
 
 mod bag;
+mod records;
 #[cfg(test)]
 pub(crate) mod tests;
 
@@ -15,15 +16,14 @@ use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
-use mcap::records::MessageHeader as RecordHeader;
-use mcap::write::{NoSeek, PrivateRecordOptions};
-use mcap::{Compression, McapError, WriteOptions};
-
 use self::bag::{BagFolder, Contents, TopicContents};
+pub(crate) use self::records::RecordWriter;
+use self::records::put_bytes;
 use crate::VERSION;
 use crate::files::WriteError;
 use crate::files::output::{Existing, NewFile};
 use crate::files::sequence::ending_of;
+use crate::input::bag::mcap::MessageHeader as RecordHeader;
 use sweepd_core::sweep::{Header, Pose, SweepRef};
 use sweepd_messages::message_type::{self, MessageType};
 use sweepd_messages::transforms::{self, Transform};
@@ -111,34 +111,55 @@ impl Topic {
     /// the channel's number.
     pub(crate) fn add<W: Write>(
         &self,
-        writer: &mut mcap::Writer<NoSeek<W>>,
+        writer: &mut RecordWriter<W>,
         sensor: &str,
         number: usize,
-    ) -> Result<u16, McapError> {
+    ) -> io::Result<u16> {
         let MessageType {
             name,
             hash,
             definition,
         } = self.message_type;
-        let schema = writer.add_schema_with_id(self.id, name, "ros2msg", definition.as_bytes())?;
-        let metadata = [
-            ("offered_qos_profiles", self.offered),
-            ("topic_type_hash", hash),
-        ];
-        let metadata = metadata.map(|(key, value)| (key.to_owned(), value.to_owned()));
         // Each sensor has its own topics but the first one.
         let of_others = (TOPICS.len() - 1) * number;
         let id = u16::try_from(usize::from(self.id) + of_others);
-        let id = id.map_err(|_| McapError::TooManyChannels)?;
-        writer.add_channel_with_id(id, schema, &self.name(sensor), "cdr", &metadata.into())
+        let id = id.map_err(|_| io::Error::other("too many sensors"))?;
+        let mut schema = self.id.to_le_bytes().to_vec();
+        for text in [name, "ros2msg", definition] {
+            put_bytes(&mut schema, text.as_bytes());
+        }
+        let mut metadata = Vec::new();
+        for text in [
+            "offered_qos_profiles",
+            self.offered,
+            "topic_type_hash",
+            hash,
+        ] {
+            put_bytes(&mut metadata, text.as_bytes());
+        }
+        let mut channel = [id, self.id].map(u16::to_le_bytes).concat();
+        put_bytes(&mut channel, self.name(sensor).as_bytes());
+        put_bytes(&mut channel, b"cdr");
+        put_bytes(&mut channel, &metadata);
+        let is_added =
+            writer.add_schema(self.id, &schema)? && writer.add_channel(id, self.id, &channel)?;
+        // In a file that is mended.
+        is_added
+            .then_some(id)
+            .ok_or_else(|| io::Error::other(format!("its channel {id} is another one")))
     }
 
-    fn contents(&self, sensor: &str, channel: &Channel) -> TopicContents {
+    fn contents<W: Write>(
+        &self,
+        sensor: &str,
+        channel: u16,
+        writer: &RecordWriter<W>,
+    ) -> TopicContents {
         TopicContents {
             name: self.name(sensor),
             message_type: self.message_type.name,
             offered: self.offered,
-            messages: channel.messages,
+            messages: writer.messages(channel),
         }
     }
 }
@@ -240,25 +261,19 @@ pub fn time_ns(header: &Header) -> u64 {
 
 /// Writes one file, from its beginning to its end without seeking.
 pub struct McapWriter<W: Write> {
-    writer: mcap::Writer<NoSeek<W>>,
+    writer: RecordWriter<W>,
     /// By name.
     sensors: BTreeMap<String, SensorChannels>,
     /// Where each sensor sits, as `/tf_static` says.
     mounts: BTreeMap<String, Transform>,
-    static_transforms: Option<Channel>,
-    /// The first and the last time of a message.
-    times_ns: Option<(u64, u64)>,
+    static_transforms: Option<u16>,
 }
 
-/// A topic, and the messages in it.
-struct Channel {
-    id: u16,
-    messages: u32,
-}
-
+/// Numbers of a sensor's channels.
+#[derive(Clone, Copy)]
 struct SensorChannels {
-    points: Channel,
-    markers: Channel,
+    points: u16,
+    markers: u16,
 }
 
 impl<W: Write> McapWriter<W> {
@@ -268,11 +283,10 @@ impl<W: Write> McapWriter<W> {
     /// What the disk says.
     pub fn new(out: W) -> io::Result<Self> {
         Ok(Self {
-            writer: options().create(NoSeek::new(out)).map_err(io_error)?,
+            writer: begin(out)?,
             sensors: BTreeMap::new(),
             mounts: BTreeMap::new(),
             static_transforms: None,
-            times_ns: None,
         })
     }
 
@@ -282,74 +296,64 @@ impl<W: Write> McapWriter<W> {
     /// # Errors
     /// What the disk says.
     pub fn write(&mut self, messages: &SweepMessages) -> io::Result<()> {
-        self.try_write(messages).map_err(io_error)
-    }
-
-    fn try_write(&mut self, messages: &SweepMessages) -> Result<(), McapError> {
         if let Some(mount) = &messages.mount
             && self.mounts.get(&messages.sensor) != Some(mount)
         {
             self.write_mount(messages, mount)?;
         }
-        if !self.sensors.contains_key(&messages.sensor) {
-            let channels = self.add_sensor(&messages.sensor)?;
-            self.sensors.insert(messages.sensor.clone(), channels);
-        }
-        let Some(channels) = self.sensors.get_mut(&messages.sensor) else {
-            return Ok(());
+        let channels = match self.sensors.get(&messages.sensor) {
+            Some(channels) => *channels,
+            None => self.add_sensor(&messages.sensor)?,
         };
         if !messages.is_named {
-            let name = messages.sensor.as_bytes();
-            let options = PrivateRecordOptions::IncludeInChunks.into();
-            self.writer.write_private_record(SENSOR, name, options)?;
+            self.writer.add(SENSOR, messages.sensor.as_bytes())?;
         }
-        let time_ns = messages.time_ns;
-        let (first_ns, last_ns) = self.times_ns.unwrap_or((time_ns, time_ns));
-        self.times_ns = Some((first_ns.min(time_ns), last_ns.max(time_ns)));
-        channels
-            .points
-            .write(&mut self.writer, time_ns, &messages.points)?;
-        channels
-            .markers
-            .write(&mut self.writer, time_ns, &messages.markers)
+        self.write_to(channels.points, messages.time_ns, &messages.points)?;
+        self.write_to(channels.markers, messages.time_ns, &messages.markers)
+    }
+
+    fn write_to(&mut self, channel: u16, time_ns: u64, message: &[u8]) -> io::Result<()> {
+        let header = RecordHeader {
+            channel: channel.into(),
+            sequence: (self.writer.messages(channel) as u32).into(),
+            logged_ns: time_ns.into(),
+            published_ns: time_ns.into(),
+        };
+        self.writer.add_message(&header, message).map(drop)
     }
 
     /// All transforms so far: a late reader of `/tf_static` gets the last message only.
-    fn write_mount(
-        &mut self,
-        messages: &SweepMessages,
-        mount: &Transform,
-    ) -> Result<(), McapError> {
+    fn write_mount(&mut self, messages: &SweepMessages, mount: &Transform) -> io::Result<()> {
         self.mounts.insert(messages.sensor.clone(), mount.clone());
         let mounts: Vec<Transform> = self.mounts.values().cloned().collect();
         let mut message = Vec::new();
         transforms::encode(messages.time_ns as i64, &mounts, &mut message);
-        let channel = match &mut self.static_transforms {
-            Some(channel) => channel,
-            none => none.insert(Channel::new(TRANSFORMS.add(&mut self.writer, "", 0)?)),
-        };
-        channel.write(&mut self.writer, messages.time_ns, &message)
+        let channel = TRANSFORMS.add(&mut self.writer, "", 0)?;
+        self.static_transforms = Some(channel);
+        self.write_to(channel, messages.time_ns, &message)
     }
 
-    fn add_sensor(&mut self, sensor: &str) -> Result<SensorChannels, McapError> {
+    fn add_sensor(&mut self, sensor: &str) -> io::Result<SensorChannels> {
         let number = self.sensors.len();
-        Ok(SensorChannels {
-            points: Channel::new(POINTS.add(&mut self.writer, sensor, number)?),
-            markers: Channel::new(MARKERS.add(&mut self.writer, sensor, number)?),
-        })
+        let channels = SensorChannels {
+            points: POINTS.add(&mut self.writer, sensor, number)?,
+            markers: MARKERS.add(&mut self.writer, sensor, number)?,
+        };
+        self.sensors.insert(sensor.to_owned(), channels);
+        Ok(channels)
     }
 
     /// What was written so far.
     fn contents(&self) -> Contents {
         let mut topics = Vec::new();
-        if let Some(channel) = &self.static_transforms {
-            topics.push(TRANSFORMS.contents("", channel));
+        if let Some(channel) = self.static_transforms {
+            topics.push(TRANSFORMS.contents("", channel, &self.writer));
         }
         for (sensor, channels) in &self.sensors {
-            topics.push(POINTS.contents(sensor, &channels.points));
-            topics.push(MARKERS.contents(sensor, &channels.markers));
+            topics.push(POINTS.contents(sensor, channels.points, &self.writer));
+            topics.push(MARKERS.contents(sensor, channels.markers, &self.writer));
         }
-        let (first_ns, last_ns) = self.times_ns.unwrap_or_default();
+        let (first_ns, last_ns) = self.writer.times_ns();
         Contents {
             topics,
             first_ns,
@@ -362,40 +366,15 @@ impl<W: Write> McapWriter<W> {
     /// # Errors
     /// What the disk says.
     pub fn flush(&mut self) -> io::Result<()> {
-        self.writer.flush().map_err(io_error)
+        self.writer.flush()
     }
 
     /// Writes the end of the file.
     ///
     /// # Errors
     /// What the disk says.
-    pub fn finish(mut self) -> io::Result<W> {
-        self.writer.finish().map_err(io_error)?;
-        let mut out = self.writer.into_inner().into_inner();
-        out.flush()?;
-        Ok(out)
-    }
-}
-
-impl Channel {
-    fn new(id: u16) -> Self {
-        Self { id, messages: 0 }
-    }
-
-    fn write<W: Write>(
-        &mut self,
-        writer: &mut mcap::Writer<NoSeek<W>>,
-        time_ns: u64,
-        message: &[u8],
-    ) -> Result<(), McapError> {
-        let header = RecordHeader {
-            channel_id: self.id,
-            sequence: self.messages,
-            log_time: time_ns,
-            publish_time: time_ns,
-        };
-        self.messages = self.messages.wrapping_add(1);
-        writer.write_to_known_channel(&header, message)
+    pub fn finish(self) -> io::Result<W> {
+        self.writer.finish()
     }
 }
 
@@ -460,20 +439,7 @@ impl McapOutput {
     }
 }
 
-/// How files are written.
-pub(crate) fn options() -> WriteOptions {
-    WriteOptions::new()
-        .profile("ros2")
-        .library(format!("{LIBRARY} {VERSION}"))
-        // Files of three quarters the size. With zstd they have 0.58 of it, and take twice the time.
-        .compression(Some(Compression::Lz4))
-        .disable_seeking(true)
-}
-
-/// An error of the writer as one of the system, which is what it is.
-pub(crate) fn io_error(error: McapError) -> io::Error {
-    match error {
-        McapError::Io(cause) => cause,
-        other => io::Error::other(other),
-    }
+/// Begins a file of this program.
+pub(crate) fn begin<W: Write>(out: W) -> io::Result<RecordWriter<W>> {
+    RecordWriter::new(out, &format!("{LIBRARY} {VERSION}"))
 }

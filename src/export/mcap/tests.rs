@@ -1,6 +1,9 @@
 //! Files read back by the library.
 
-use mcap::MessageStream;
+use std::io::Cursor;
+
+use mcap::io::MessageReader;
+use mcap::sans_io::LinearReaderOptions;
 
 use super::*;
 use crate::export::test_scene::Scene;
@@ -46,10 +49,14 @@ pub(crate) fn expected(messages: &[SweepMessages]) -> Read {
     read
 }
 
-/// What a reader of whole files makes of it, without the transforms.
+/// What a reader of whole files makes of it, which checks all sums, without the transforms.
 pub(crate) fn read(bytes: &[u8]) -> Read {
-    let stream = MessageStream::new(bytes).unwrap().map(Result::unwrap);
-    let found = stream.map(|one| {
+    let options = LinearReaderOptions::default()
+        .with_validate_chunk_crcs(true)
+        .with_validate_data_section_crc(true)
+        .with_validate_summary_section_crc(true);
+    let stream = MessageReader::new_with_options(Cursor::new(bytes), options);
+    let found = stream.map(Result::unwrap).map(|one| {
         (
             one.channel.topic.clone(),
             one.log_time,

@@ -3,22 +3,19 @@
 //! What is in chunks whose check sum is right is copied, wherever they lie: after damage, the next
 //! such chunk is searched for. Nothing else of the file is trusted.
 
-use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Cursor, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use mcap::McapError;
-use mcap::records::MessageHeader as RecordHeader;
-use mcap::write::NoSeek;
+use zerocopy::FromBytes;
 
-use crate::export::mcap::{LIBRARY, POINTS, SENSOR, TOPICS, io_error, options};
+use crate::export::mcap::{LIBRARY, POINTS, RecordWriter, SENSOR, TOPICS, begin};
 use crate::files::parts::{self, Recovery};
 use crate::input::bag::mcap::{
     CHANNEL, CHUNK, ChannelRecord, ChunkHeader, DATA_END, FOOTER, HEADER, MAGIC, MAX_LEN, MESSAGE,
-    MESSAGE_INDEX, SCHEMA, SUMMARY, SchemaRecord, split_bytes, split_text, split_u16, split_u32,
-    split_u64,
+    MESSAGE_INDEX, MessageHeader, SCHEMA, SUMMARY, SchemaRecord, split_bytes, split_text,
+    split_u16, split_u32, split_u64,
 };
 use crate::input::error::{Damage, Stop};
 use crate::input::source::{Input, SharedInput};
@@ -76,9 +73,8 @@ pub fn mend<W: Write>(
 ) -> io::Result<(Mended, W)> {
     let mut damaged = Damaged::open(damaged)?;
     let mut mended = MendedFile {
-        writer: options().create(NoSeek::new(out)).map_err(io_error)?,
+        writer: begin(out)?,
         is_ours: damaged.is_ours()?,
-        channels: BTreeSet::new(),
         found: Mended::default(),
     };
     let mut end = MAGIC.len() as u64;
@@ -97,10 +93,7 @@ pub fn mend<W: Write>(
     if !damaged.is_cut(tail)? {
         mended.found.damaged_places += 1;
     }
-    mended.writer.finish().map_err(io_error)?;
-    let mut out = mended.writer.into_inner().into_inner();
-    out.flush()?;
-    Ok((mended.found, out))
+    Ok((mended.found, mended.writer.finish()?))
 }
 
 /// Mends a part under the first free name of this stem. Then the part is removed if it was only cut,
@@ -396,17 +389,16 @@ fn other_len(start: &[u8], is_summary: bool) -> Option<u64> {
 
 /// The mended file under way.
 struct MendedFile<W: Write> {
-    writer: mcap::Writer<NoSeek<W>>,
+    writer: RecordWriter<W>,
     /// Whether this program recorded it, whose channels are known.
     is_ours: bool,
-    channels: BTreeSet<u16>,
     found: Mended,
 }
 
 impl<W: Write> MendedFile<W> {
     /// Adds the records of a chunk.
     fn add(&mut self, records: &[u8]) -> io::Result<()> {
-        if self.channels.is_empty() && self.is_ours {
+        if !self.writer.has_channels() && self.is_ours {
             self.add_lost_channels(records)?;
         }
         let mut rest = records;
@@ -428,49 +420,28 @@ impl<W: Write> MendedFile<W> {
 
     /// Adds a schema; `false` if it is none, or contradicts another one.
     fn add_schema(&mut self, body: &[u8]) -> io::Result<bool> {
-        let Some((schema, encoding, definition)) = split_schema(body) else {
-            return Ok(false);
-        };
-        let SchemaRecord { id, name } = &schema;
-        let added = self
-            .writer
-            .add_schema_with_id(*id, name, &encoding, definition);
-        is_added(added)
+        match split_schema(body) {
+            Some(schema) => self.writer.add_schema(schema.id, body),
+            None => Ok(false),
+        }
     }
 
     /// Adds a channel; `false` if it is none, or contradicts what was before.
     fn add_channel(&mut self, body: &[u8]) -> io::Result<bool> {
-        let Some((channel, metadata)) = split_channel(body) else {
-            return Ok(false);
-        };
-        let ChannelRecord {
-            id,
-            schema,
-            topic,
-            encoding,
-        } = &channel;
-        let added = self
-            .writer
-            .add_channel_with_id(*id, *schema, topic, encoding, &metadata);
-        let is_added = is_added(added)?;
-        if is_added {
-            self.channels.insert(*id);
+        match split_channel(body) {
+            Some(channel) => self.writer.add_channel(channel.id, channel.schema, body),
+            None => Ok(false),
         }
-        Ok(is_added)
     }
 
     /// Adds a message; `false` if it is none, or its channel is unknown.
     fn add_message(&mut self, body: &[u8]) -> io::Result<bool> {
-        let Some((header, data)) = split_message(body) else {
+        let Ok((header, data)) = MessageHeader::ref_from_prefix(body) else {
             return Ok(false);
         };
-        if !self.channels.contains(&header.channel_id) {
-            return Ok(false);
-        }
-        let written = self.writer.write_to_known_channel(&header, data);
-        written.map_err(io_error)?;
-        self.found.messages += 1;
-        Ok(true)
+        let is_added = self.writer.add_message(header, data)?;
+        self.found.messages += u64::from(is_added);
+        Ok(is_added)
     }
 
     /// Adds the channels that a recording has, where the chunk that described them is damaged: the
@@ -481,7 +452,7 @@ impl<W: Write> MendedFile<W> {
             rest = after;
             let sensor = match opcode {
                 SENSOR => std::str::from_utf8(body).ok().map(names::token),
-                MESSAGE => split_message(body).and_then(|(header, data)| sensor_of(&header, data)),
+                MESSAGE => sensor_of(body),
                 CHANNEL => return Ok(()),
                 _ => None,
             };
@@ -489,20 +460,11 @@ impl<W: Write> MendedFile<W> {
                 continue;
             };
             for topic in TOPICS {
-                let channel = topic.add(&mut self.writer, &sensor, 0).map_err(io_error)?;
-                self.channels.insert(channel);
+                topic.add(&mut self.writer, &sensor, 0)?;
             }
             return Ok(());
         }
         Ok(())
-    }
-}
-
-/// What the writer says of a schema or a channel: only the disk ends the mending.
-fn is_added(added: Result<u16, McapError>) -> io::Result<bool> {
-    match added {
-        Err(McapError::Io(cause)) => Err(cause),
-        other => Ok(other.is_ok()),
     }
 }
 
@@ -514,43 +476,29 @@ fn split_record(bytes: &[u8]) -> Option<(u8, &[u8], &[u8])> {
     Some((opcode, body, rest))
 }
 
-/// A schema, its encoding and its definition.
-fn split_schema(body: &[u8]) -> Option<(SchemaRecord, String, &[u8])> {
+/// A schema that is whole.
+fn split_schema(body: &[u8]) -> Option<SchemaRecord> {
     let (schema, rest) = SchemaRecord::split(body)?;
-    let (encoding, rest) = split_text(rest)?;
-    Some((schema, encoding, split_bytes(rest)?.0))
+    let (_encoding, rest) = split_bytes(rest)?;
+    split_bytes(rest)?;
+    Some(schema)
 }
 
-/// A channel, and its metadata.
-fn split_channel(body: &[u8]) -> Option<(ChannelRecord, BTreeMap<String, String>)> {
+/// A channel that is whole.
+fn split_channel(body: &[u8]) -> Option<ChannelRecord> {
     let (channel, rest) = ChannelRecord::split(body)?;
     let (mut pairs, _) = split_bytes(rest)?;
-    let mut metadata = BTreeMap::new();
+    // Keys and values.
     while !pairs.is_empty() {
-        let (key, rest) = split_text(pairs)?;
-        let (value, rest) = split_text(rest)?;
-        metadata.insert(key, value);
-        pairs = rest;
+        let (_key, value) = split_bytes(pairs)?;
+        pairs = split_bytes(value)?.1;
     }
-    Some((channel, metadata))
-}
-
-fn split_message(body: &[u8]) -> Option<(RecordHeader, &[u8])> {
-    let (channel_id, rest) = split_u16(body)?;
-    let (sequence, rest) = split_u32(rest)?;
-    let (log_time, rest) = split_u64(rest)?;
-    let (publish_time, data) = split_u64(rest)?;
-    let header = RecordHeader {
-        channel_id,
-        sequence,
-        log_time,
-        publish_time,
-    };
-    Some((header, data))
+    Some(channel)
 }
 
 /// The sensor of a cloud that this program wrote, as in its topics: by the frame in its header.
-fn sensor_of(header: &RecordHeader, data: &[u8]) -> Option<String> {
+fn sensor_of(message: &[u8]) -> Option<String> {
+    let (header, data) = MessageHeader::ref_from_prefix(message).ok()?;
     // Encapsulation and stamp; then the frame, whose length counts a zero at its end.
     const FRAME: usize = 12;
     let (frame, _) = split_bytes(data.get(FRAME..)?)?;
@@ -558,6 +506,6 @@ fn sensor_of(header: &RecordHeader, data: &[u8]) -> Option<String> {
     let field = (FRAME + 4 + frame.len()).next_multiple_of(4) + 12;
     let (field, _) = split_bytes(data.get(field..)?)?;
     let frame = std::str::from_utf8(frame.strip_suffix(b"\0")?).ok()?;
-    let is_cloud = header.channel_id == POINTS.id && field == b"x\0";
+    let is_cloud = header.channel == POINTS.id && field == b"x\0";
     is_cloud.then(|| names::token(frame))
 }

@@ -18,6 +18,8 @@ mod record;
 
 use std::collections::HashMap;
 
+use zerocopy::{FromZeros, IntoBytes};
+
 pub(crate) use chunk::{ChunkHeader, MAX_LEN};
 pub(crate) use record::*;
 
@@ -28,7 +30,6 @@ use super::{Log, MAX_MESSAGE_LEN, Message, Topics, short};
 use crate::input::error::{Damage, Place, Stop};
 use crate::input::source::Input;
 
-const MESSAGE_HEADER_LEN: u64 = 22;
 /// Names stand at the start of their record, and the definition behind that of a schema; more than
 /// this of it is not read.
 const NAMES_LEN: u64 = 16 << 10;
@@ -105,24 +106,22 @@ impl Mcap {
 
     /// The message, if its channel has scans.
     fn message(&mut self, len: u64) -> Result<Option<Message>, Stop> {
-        let mut header = [0; MESSAGE_HEADER_LEN as usize];
-        let Some(data_len) = len.checked_sub(MESSAGE_HEADER_LEN) else {
+        let mut header = MessageHeader::new_zeroed();
+        let Some(data_len) = len.checked_sub(size_of::<MessageHeader>() as u64) else {
             return Err(Damage::BagRecord { what: "message" }.into());
         };
-        self.records.fill(&mut header)?;
-        let channel = u16::from_le_bytes([header[0], header[1]]);
-        let Some(&(topic, encoding)) = self.channels.get(&channel) else {
+        self.records.fill(header.as_mut_bytes())?;
+        let Some(&(topic, encoding)) = self.channels.get(&header.channel.get()) else {
             self.records.skip(data_len)?;
             return Ok(None);
         };
         let bytes = self
             .records
             .load(super::bounded(data_len, MAX_MESSAGE_LEN, "message")?)?;
-        let &[_, _, _, _, _, _, logged @ .., _, _, _, _, _, _, _, _] = &header;
         Ok(Some(Message {
             topic,
             encoding,
-            logged_ns: i64::from_le_bytes(logged),
+            logged_ns: header.logged_ns.get() as i64,
             bytes,
         }))
     }

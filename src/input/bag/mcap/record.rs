@@ -1,5 +1,8 @@
 //! The records of MCAP files: their opcodes, and what stands in them.
 
+use zerocopy::little_endian::{U16, U32, U64};
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
+
 pub(crate) const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
 pub(crate) const HEADER: u8 = 0x01;
@@ -9,9 +12,9 @@ pub(crate) const CHANNEL: u8 = 0x04;
 pub(crate) const MESSAGE: u8 = 0x05;
 pub(crate) const CHUNK: u8 = 0x06;
 pub(crate) const MESSAGE_INDEX: u8 = 0x07;
-const CHUNK_INDEX: u8 = 0x08;
-const STATISTICS: u8 = 0x0B;
-const SUMMARY_OFFSET: u8 = 0x0E;
+pub(crate) const CHUNK_INDEX: u8 = 0x08;
+pub(crate) const STATISTICS: u8 = 0x0B;
+pub(crate) const SUMMARY_OFFSET: u8 = 0x0E;
 pub(crate) const DATA_END: u8 = 0x0F;
 /// What stands behind the end of the data.
 pub(crate) const SUMMARY: [u8; 6] = [
@@ -22,6 +25,16 @@ pub(crate) const SUMMARY: [u8; 6] = [
     STATISTICS,
     SUMMARY_OFFSET,
 ];
+
+/// What stands before the data of a message.
+#[derive(FromBytes, IntoBytes, Immutable, KnownLayout, Unaligned)]
+#[repr(C)]
+pub(crate) struct MessageHeader {
+    pub(crate) channel: U16,
+    pub(crate) sequence: U32,
+    pub(crate) logged_ns: U64,
+    pub(crate) published_ns: U64,
+}
 
 /// The start of a schema: what it describes. Its encoding and its definition follow.
 pub(crate) struct SchemaRecord {
