@@ -327,7 +327,7 @@ fn of_two_returns_the_rules_choose() {
             for _ in 0..40 {
                 let (packet, azimuth_rad) = (noise.packet(), (noise.next() % 6_283) as f32 * 0.001);
                 let both = decode(&decoder, &packet, azimuth_rad, ReturnMode::Dual);
-                for places in offsets.pixels().iter().flatten() {
+                for places in offsets.pixels().iter().flat_map(|group| &group.each) {
                     let at = *places as usize;
                     let takes_second = both.kind[at] & SECOND_BLOCKS != 0;
                     let order = if takes_second { [1, 0] } else { [0, 1] };

@@ -3,10 +3,10 @@
 use std::ops::RangeInclusive;
 
 use fearless_simd::prelude::*;
-use fearless_simd::{Level, f32x16, i32x16, mask32x16};
+use fearless_simd::{Level, f32x16, i32x16, mask32x16, u16x16};
 
-use super::lanes::{self, BeamGroups, Decoded, Direction, PerLane, Records};
-use super::row_offsets::RowOffsets;
+use super::lanes::{self, BeamGroups, Decoded, Direction, LANES, PerLane, Records};
+use super::row_offsets::{GroupPixels, RowOffsets};
 use crate::sensor::model::Spec;
 use crate::sensor::{Calibration, Model};
 use crate::sweep::layout::{BeamRow, ReturnChoice, ReturnKind, SECOND_BLOCKS};
@@ -74,7 +74,7 @@ impl Decoder {
             beam_rows(calibration, spec, ReturnMode::Strongest),
             beam_rows(calibration, spec, ReturnMode::Dual),
         ];
-        let lanes = BeamGroups::new(calibration, &beams[0]);
+        let lanes = BeamGroups::new(calibration, &beams[0], spec);
         let bends = lanes.bend();
         Self {
             spec,
@@ -267,7 +267,19 @@ fn beam_rows(calibration: &Calibration, spec: &Spec, mode: ReturnMode) -> Vec<Be
 
 impl Pixels<'_> {
     #[inline(always)]
-    fn write<S: Simd>(&mut self, places: &PerLane<u32>, decoded: &Decoded<S>) {
+    fn write<S: Simd>(&mut self, pixels: &GroupPixels, decoded: &Decoded<S>) {
+        let Some(halves) = pixels.halves else {
+            self.scatter(&pixels.each, decoded);
+            return;
+        };
+        let (first, second) = decoded.range_m.split();
+        first.store_slice(half(self.range, halves[0]));
+        second.store_slice(half(self.range, halves[1]));
+        write_halves(self.reflectivity, halves, decoded.reflectivity);
+    }
+
+    #[inline(always)]
+    fn scatter<S: Simd>(&mut self, places: &PerLane<u32>, decoded: &Decoded<S>) {
         // Equal lengths, so that one bounds check serves both.
         let count = self.range.len().min(self.reflectivity.len());
         let range = &mut self.range[..count];
@@ -285,10 +297,31 @@ impl Pixels<'_> {
 }
 
 #[inline(always)]
-fn write_bytes<S: Simd>(plane: &mut [u8], places: &PerLane<u32>, bytes: i32x16<S>) {
-    for (&place, &byte) in places.iter().zip(bytes.as_array()) {
-        plane[place as usize] = byte as u8;
-    }
+fn write_bytes<S: Simd>(plane: &mut [u8], pixels: &GroupPixels, bytes: i32x16<S>) {
+    let Some(halves) = pixels.halves else {
+        for (&place, &byte) in pixels.each.iter().zip(bytes.as_array()) {
+            plane[place as usize] = byte as u8;
+        }
+        return;
+    };
+    write_halves(plane, halves, bytes);
+}
+
+#[inline(always)]
+fn write_halves<S: Simd>(plane: &mut [u8], halves: [u32; 2], bytes: i32x16<S>) {
+    let (first, second) = bytes.split();
+    let words: u16x16<S> = first.relaxed_narrow(second).bitcast();
+    let (first, second) = words.split();
+    let bytes = first.relaxed_narrow(second);
+    let (first, second) = bytes.as_slice().split_at(LANES / 2);
+    half(plane, halves[0]).copy_from_slice(first);
+    half(plane, halves[1]).copy_from_slice(second);
+}
+
+/// The pixels of half of the lanes, from the first on.
+#[inline(always)]
+fn half<T>(plane: &mut [T], first: u32) -> &mut [T] {
+    &mut plane[first as usize..][..LANES / 2]
 }
 
 #[cfg(test)]

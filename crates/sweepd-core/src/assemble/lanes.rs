@@ -1,9 +1,10 @@
 //! Sixteen beams at once: from the records of a firing to ranges and reflectivities.
 //!
 //! All code here works on vectors of [`LANES`] numbers at the level of vector instructions that the
-//! caller runs it at; the [decoder](super::decode) uses the best level of the machine. Beams stay
-//! in channel order, as in the packet; the [row offsets](super::row_offsets) give their pixels in
-//! the image.
+//! caller runs it at; the [decoder](super::decode) uses the best level of the machine. Sensors whose
+//! rows are not shifted have an upper row in each odd channel and a lower one in each even, both from
+//! the bottom up: their beams are sorted by that, so that halves of a group are written at once. The
+//! [row offsets](super::row_offsets) give the pixels in the image.
 //!
 //! Every level gives the same bytes, because all operations round the same at each: products are
 //! never fused with sums, and square roots are correctly rounded. A range is within 4e-5 m of that
@@ -17,6 +18,7 @@ use zerocopy::IntoBytes;
 
 use crate::sensor::Calibration;
 use crate::sensor::calibration::Intensity;
+use crate::sensor::model::Spec;
 use crate::sweep::corrected::Corrected;
 use crate::sweep::layout::BeamRow;
 use crate::wire::data::{Block, RECORDS, Record};
@@ -32,16 +34,17 @@ const FULL_SCALE_M: f64 = 131.0;
 /// Bytes of a record.
 const RECORD: usize = size_of::<Record>();
 
-/// Starts of the four groups of sixteen bytes that each hold four records. The last group ends with
-/// the last record.
-const FROM: [usize; 4] = [0, 4 * RECORD, 8 * RECORD, LANES * RECORD - 16];
-/// Byte indices that spread four records to four bytes each; the fourth byte is arbitrary.
+/// Starts of the four groups of sixteen bytes that each hold four records, the last records first:
+/// that group ends with the last one.
+const FROM: [usize; 4] = [LANES * RECORD - 16, 8 * RECORD, 4 * RECORD, 0];
+/// Byte indices that spread four records to four bytes each, from the last record to the first; the
+/// fourth byte is arbitrary.
 const SPREAD: [u8; 4 * LANES] = {
     let mut spread = [0; 4 * LANES];
     let mut at = 0;
     while at < spread.len() {
         let quarter = at / 16;
-        let record = at / 4;
+        let record = LANES - 1 - at / 4;
         let byte = at % 4;
         let byte = if byte < RECORD { byte } else { RECORD - 1 };
         spread[at] = (record * RECORD + byte - FROM[quarter]) as u8;
@@ -59,6 +62,8 @@ pub struct BeamGroups {
     /// Metres of one unit of distance.
     unit_m: f32,
     groups: Vec<Group>,
+    /// The lanes are in the order of rows; see [`place`].
+    by_row: bool,
     /// Distances, in units, that are nearer than where the two-point correction ends.
     near_units: i32,
 }
@@ -130,12 +135,12 @@ pub struct Records<'a> {
 }
 
 impl BeamGroups {
-    /// For these beams, given as a sweep carries them too, row by row.
-    pub fn new(calibration: &Calibration, rows: &[BeamRow]) -> Self {
+    /// For these beams of a model, given as a sweep carries them too, row by row.
+    pub fn new(calibration: &Calibration, rows: &[BeamRow], spec: &Spec) -> Self {
         let unit_m = calibration.distance_unit_m();
         let mut groups = vec![Group::straight(); rows.len().div_ceil(LANES)];
         for row in rows {
-            let (group, lane) = place(row.channel);
+            let (group, lane) = place(row.channel, spec);
             groups[group].take(
                 lane,
                 row,
@@ -148,6 +153,7 @@ impl BeamGroups {
         Self {
             unit_m: unit_m as f32,
             groups,
+            by_row: !spec.shifted,
             near_units,
         }
     }
@@ -175,7 +181,7 @@ impl BeamGroups {
         is_normalised: bool,
     ) -> Decoded<S> {
         let group = &self.groups[index];
-        let records = records.group(simd, index);
+        let records = records.group(simd, index, self.by_row);
         let distance = records & 0xFFFF;
         let reported = (records >> 16) & 0xFF;
         let units: f32x16<S> = distance.to_float();
@@ -224,7 +230,7 @@ impl Records<'_> {
     /// A group of records: distance in the low sixteen bits of each, then reflectivity, then an
     /// arbitrary byte.
     #[inline(always)]
-    fn group<S: Simd>(&self, simd: S, group: usize) -> i32x16<S> {
+    fn group<S: Simd>(&self, simd: S, group: usize, by_row: bool) -> i32x16<S> {
         const IN_BLOCK: usize = RECORDS / LANES;
         let records = &self.blocks[group / IN_BLOCK * self.bank_step].records
             [self.first + group % IN_BLOCK * LANES..];
@@ -235,9 +241,15 @@ impl Records<'_> {
         let first = quarter(simd, bytes, 0).combine(quarter(simd, bytes, 1));
         let second = quarter(simd, bytes, 2).combine(quarter(simd, bytes, 3));
         let packed: u8x64<S> = first.combine(second);
-        packed
+        let downwards: i32x16<S> = packed
             .swizzle_dyn_within_blocks(u8x64::load_array(simd, SPREAD))
-            .bitcast()
+            .bitcast();
+        if !by_row {
+            return downwards;
+        }
+        let (first, second) = downwards.split();
+        let (odd, even) = first.deinterleave(second);
+        odd.combine(even)
     }
 }
 
@@ -404,9 +416,15 @@ pub fn levels() -> Vec<Level> {
     lower.into_iter().flatten().collect()
 }
 
-/// The group of a channel, and its place there.
-pub fn place(channel: u32) -> (usize, usize) {
-    (channel as usize / LANES, channel as usize % LANES)
+/// The group of a channel, and its lane there: the last channel comes first, and where rows are not
+/// shifted, the odd ones come before the even ones.
+pub fn place(channel: u32, spec: &Spec) -> (usize, usize) {
+    let group = channel as usize / LANES;
+    let downwards = LANES - 1 - channel as usize % LANES;
+    match spec.shifted {
+        true => (group, downwards),
+        false => (group, downwards % 2 * (LANES / 2) + downwards / 2),
+    }
 }
 
 #[cfg(test)]

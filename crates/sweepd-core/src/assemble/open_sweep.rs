@@ -396,10 +396,14 @@ impl ColumnTarget<'_> {
 /// Writes a firing without returns.
 fn clear(sweep: &mut SweepMut<'_>, place: ColumnTarget<'_>) {
     let first = place.reach().start;
-    let pixels = place.row_offsets.pixels().as_flattened();
-    pixels
+    for pixel in place
+        .row_offsets
+        .pixels()
         .iter()
-        .for_each(|&pixel| clear_pixel(sweep, first + pixel as usize));
+        .flat_map(|group| group.each)
+    {
+        clear_pixel(sweep, first + pixel as usize);
+    }
 }
 
 fn clear_pixel(sweep: &mut SweepMut<'_>, index: usize) {

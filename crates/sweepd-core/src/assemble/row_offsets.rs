@@ -15,13 +15,32 @@ const SLOWEST_RPM: f64 = 240.0;
 pub struct RowOffsets {
     /// Columns from a pixel to its firing, by row; see [`BeamRow::shift`].
     shifts: Vec<i32>,
-    /// By channel, in groups.
+    /// In groups.
     side_angles: Vec<SideAngles>,
-    /// By channel: index of the pixel, counted from the first pixel that a firing can have.
-    pixels: Vec<PerLane<u32>>,
+    /// In groups.
+    pixels: Vec<GroupPixels>,
     lead: usize,
     trail: usize,
     rate_rad_s: f64,
+}
+
+/// The pixels of a group of beams, as indices from the first pixel that a firing can have on.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct GroupPixels {
+    /// By lane.
+    pub each: PerLane<u32>,
+    /// The first pixel of each half of the lanes, if a half has eight pixels in a row.
+    pub halves: Option<[u32; 2]>,
+}
+
+impl GroupPixels {
+    fn find_halves(&mut self) {
+        const HALF: usize = LANES / 2;
+        let first = [self.each[0], self.each[HALF]];
+        let mut places = self.each.iter().enumerate();
+        let is_so = places.all(|(lane, &pixel)| pixel == first[lane / HALF] + (lane % HALF) as u32);
+        self.halves = is_so.then_some(first);
+    }
 }
 
 impl RowOffsets {
@@ -50,15 +69,16 @@ impl RowOffsets {
         self.side_angles
             .resize(beams.len().div_ceil(LANES), SideAngles::default());
         self.pixels
-            .resize(beams.len().div_ceil(LANES), PerLane::default());
+            .resize(beams.len().div_ceil(LANES), GroupPixels::default());
         for (row, beam) in beams.iter().enumerate() {
-            let (group, lane) = lanes::place(beam.channel);
+            let (group, lane) = lanes::place(beam.channel, spec);
             let (sin, cos) = side_angle_rad(beam, rate_rad_ns).sin_cos();
             self.side_angles[group].sin[lane] = sin as f32;
             self.side_angles[group].cos[lane] = cos as f32;
             let column = self.lead as i32 - self.shifts[row];
-            self.pixels[group][lane] = column as u32 * beams.len() as u32 + row as u32;
+            self.pixels[group].each[lane] = column as u32 * beams.len() as u32 + row as u32;
         }
+        self.pixels.iter_mut().for_each(GroupPixels::find_halves);
     }
 
     /// Columns from a pixel to its firing, by row.
@@ -66,14 +86,14 @@ impl RowOffsets {
         &self.shifts
     }
 
-    /// Angles of the beams to the side of their firing, by channel.
+    /// Angles of the beams to the side of their firing, in groups.
     pub fn side_angles(&self) -> &[SideAngles] {
         &self.side_angles
     }
 
-    /// Indices of the pixels of a firing, by channel, counted from the top of the column that is
+    /// Indices of the pixels of a firing, in groups, counted from the top of the column that is
     /// [`RowOffsets::lead`] before its own.
-    pub fn pixels(&self) -> &[PerLane<u32>] {
+    pub fn pixels(&self) -> &[GroupPixels] {
         &self.pixels
     }
 
@@ -101,4 +121,29 @@ impl RowOffsets {
 /// How far a beam points to the side of its firing when it fires, clockwise from above.
 fn side_angle_rad(beam: &BeamRow, rate_rad_ns: f64) -> f64 {
     rate_rad_ns * f64::from(beam.time_offset_ns) - f64::from(beam.rotation_rad)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::assemble::Decoder;
+    use crate::sensor::{Model, ModelExt};
+    use crate::sweep::layout::ReturnChoice;
+
+    #[test]
+    fn rows_that_are_not_shifted_are_halves() {
+        for model in Model::ALL {
+            let (spec, mode) = (model.spec(), ReturnMode::Strongest);
+            let Some(calibration) = model.calibration() else {
+                continue;
+            };
+            let limits_m = 0.0..=100.0;
+            let decoder = Decoder::new(model, spec, calibration, ReturnChoice::Nearest, limits_m);
+            let mut offsets = RowOffsets::default();
+            offsets.set(decoder.beams(mode), 3.6e-4, spec, mode);
+            for group in offsets.pixels() {
+                assert_eq!(group.halves.is_some(), !spec.shifted, "{model}");
+            }
+        }
+    }
 }
