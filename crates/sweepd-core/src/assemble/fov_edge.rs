@@ -138,6 +138,11 @@ impl FovEdge {
         })
     }
 
+    /// Whether no sector is known to be left out.
+    pub fn is_unseen(&self) -> bool {
+        self.last.is_none()
+    }
+
     /// Notes a firing. If it is in the sector that was left out before, the sector is forgotten.
     pub fn fired(&mut self, azimuth_cdeg: f64) {
         let is_inside = self.last.as_ref().is_some_and(|skip| {

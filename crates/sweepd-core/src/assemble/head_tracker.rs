@@ -110,8 +110,35 @@ impl HeadTracker {
     }
 
     /// Turns to the next firing, the shorter way.
+    #[inline(always)]
     pub fn turn(&mut self, azimuth_cdeg: f64, time_ns: i64) -> HeadEvent {
+        if self.turns_on(azimuth_cdeg, time_ns) {
+            return HeadEvent::Continues;
+        }
         self.go(azimuth_cdeg, time_ns, None)
+    }
+
+    /// Turns to the next firing as `go` would, if the head is known to turn and goes on in the same
+    /// sense without passing the cut or north; else changes nothing. A field of view that is limited
+    /// is left to `go`.
+    #[inline(always)]
+    fn turns_on(&mut self, azimuth_cdeg: f64, time_ns: i64) -> bool {
+        let (Some(last), Some(since_ns)) = (self.last_cdeg, self.watched_since_ns) else {
+            return false;
+        };
+        // Rounded as in `shortest`.
+        let advance = (azimuth_cdeg - last + TURN / 2.0 - TURN / 2.0) * self.sense;
+        let phase = ahead(self.cut_cdeg, last, self.sense);
+        let is_on_the_way = advance > 0.0 && advance < TURN / 2.0 && phase + advance < TURN;
+        let is_watched = self.stopped || time_ns - since_ns >= STANDSTILL_NS;
+        if !is_on_the_way || is_watched || !self.edge.is_unseen() {
+            return false;
+        }
+        self.last_cdeg = Some(azimuth_cdeg);
+        self.progress_cdeg += advance;
+        self.watched_cdeg += advance;
+        self.against_cdeg = (self.against_cdeg - advance).max(0.0);
+        true
     }
 
     /// Turns to the next firing over a sector that was left out: always in the sense of rotation,
@@ -125,6 +152,7 @@ impl HeadTracker {
         self.go(azimuth_cdeg, time_ns, Some(speed))
     }
 
+    #[inline(never)]
     fn go(
         &mut self,
         azimuth_cdeg: f64,
@@ -328,6 +356,27 @@ mod tests {
             "{events:?}"
         );
         assert!(!head.stopped);
+    }
+
+    /// Heads that turn either way, stop, and pass cuts and north, with the noise of an encoder.
+    #[test]
+    fn a_head_that_turns_on_is_where_the_careful_way_takes_it() {
+        let mut rng = fastrand::Rng::with_seed(5);
+        for cut_cdeg in [0.0, 17_999.0, 30_000.5] {
+            let [mut head, mut careful] = [HeadTracker::new(cut_cdeg); 2];
+            let (mut azimuth, mut quick) = (0.0_f64, 0);
+            for index in 0..60_000 {
+                let step = [40.0, 0.0, -40.0, 17.3][index / 5_000 % 4];
+                azimuth = (azimuth + step + f64::from(rng.i32(-8..=8))).rem_euclid(TURN);
+                let time_ns = index as i64 * 50_000;
+                let mut tried = head;
+                quick += u32::from(tried.turns_on(azimuth, time_ns));
+                let turned = head.turn(azimuth, time_ns);
+                assert_eq!(turned, careful.go(azimuth, time_ns, None), "{index}");
+                assert_eq!(format!("{head:?}"), format!("{careful:?}"), "{index}");
+            }
+            assert!(quick > 30_000, "{quick}");
+        }
     }
 
     #[test]
