@@ -1,6 +1,8 @@
 //! The head's motion during one packet: its azimuth at each firing, its speed, and a sector that
 //! was left out.
 
+use std::ops::Add;
+
 use super::lanes::Records;
 use crate::sensor::model::{Places, Spec};
 use crate::wire::data::{BLOCKS, ReturnMode, TURN_CDEG};
@@ -77,8 +79,9 @@ pub struct FiringTiming {
     /// From one firing to the next, nanoseconds.
     pub period_ns: i64,
     channels: usize,
-    /// Firings that share an azimuth, as a power of two.
+    /// Firings that share an azimuth, as a power of two, and the share of the way that each has.
     sharing: u32,
+    share: f64,
 }
 
 impl FiringTiming {
@@ -90,6 +93,7 @@ impl FiringTiming {
             period_ns: i64::from(spec.firing_period_ns(mode)),
             channels: spec.channels,
             sharing: spec.firings_per_azimuth().ilog2(),
+            share: 1.0 / spec.firings_per_azimuth() as f64,
         }
     }
 
@@ -254,7 +258,7 @@ impl Motion {
     /// no azimuth of its own (the second of a VLP-16 block) gets it from the turning rate: single
     /// steps carry the encoder's noise.
     pub fn azimuth_cdeg(&self, firing: usize, timing: &FiringTiming) -> f64 {
-        let within = timing.behind(firing) as f64 / (1 << timing.sharing) as f64;
+        let within = timing.behind(firing) as f64 * timing.share;
         within_turn(
             f64::from(self.azimuths[timing.azimuth(firing)]) + self.best_step_cdeg() * within,
         )
@@ -331,13 +335,15 @@ impl Steps {
     fn of(steps: &[f64]) -> Result<Self, Implausible> {
         let least = steps.iter().copied().fold(f64::MAX, f64::min);
         let most = steps.iter().copied().fold(f64::MIN, f64::max);
-        // If all steps are alike, none is a break, whichever is the median.
-        let is_even = steps.len() < 2 || most - least <= BEND_CDEG;
-        let median = match steps {
-            [] => 0.0,
-            [first, ..] if is_even => *first,
-            _ => median(steps),
-        };
+        if steps.len() < 2 || most - least <= BEND_CDEG {
+            // All are alike: none is a break.
+            let sum = steps.iter().copied().fold(0.0, Add::add);
+            return Ok(Self {
+                step_cdeg: sum / steps.len().max(1) as f64,
+                break_at: None,
+            });
+        }
+        let median = median(steps);
         let mut sum = 0.0;
         let mut kept = 0;
         let mut break_at = None;
@@ -349,7 +355,7 @@ impl Steps {
                 return Err(Implausible::Jumps);
             }
         }
-        if !is_even && is_bent(steps, median) {
+        if is_bent(steps, median) {
             return Err(Implausible::Bent);
         }
         let step_cdeg = sum / f64::from(kept.max(1));

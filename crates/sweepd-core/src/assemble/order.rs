@@ -77,6 +77,8 @@ pub struct PacketOrder {
     spec: &'static Spec,
     clock: SensorClock,
     packets: Vec<OrderedPacket>,
+    /// The stamp of each, in one place to look through.
+    stamps_us: Vec<u32>,
     next_index: usize,
     held: Vec<usize>,
     ready: VecDeque<(usize, PacketGap)>,
@@ -97,6 +99,7 @@ impl PacketOrder {
             spec,
             clock: SensorClock::default(),
             packets: Vec::with_capacity(KEPT),
+            stamps_us: Vec::with_capacity(KEPT),
             next_index: 0,
             held: Vec::with_capacity(HOLD + 2),
             ready: VecDeque::with_capacity(HOLD + 4),
@@ -159,10 +162,8 @@ impl PacketOrder {
         arrival_ns: i64,
     ) -> Result<(), Rejection> {
         let mut motion = Motion::of(bytes, mode, self.spec).map_err(Rejection::Implausible)?;
-        if self
-            .packets
-            .iter()
-            .any(|known| known.bytes.stamp_us() == bytes.stamp_us() && known.bytes == *bytes)
+        if self.stamps_us.contains(&bytes.stamp_us())
+            && self.packets.iter().any(|known| known.bytes == *bytes)
         {
             return Err(Rejection::Duplicate);
         }
@@ -172,41 +173,40 @@ impl PacketOrder {
         }
         let time_ns =
             self.clock.read_ns(bytes.stamp_us()) + self.spec.first_shot_ns(mode, motion.silent_ns);
-        let mut packet = OrderedPacket {
+        let index = self.store(OrderedPacket {
             bytes: *bytes,
             motion,
             mode,
             number,
             arrival_ns,
             time_ns,
-        };
+        });
         let Some(last) = self.last else {
-            self.start(packet);
+            self.begin_anew(index);
             return Ok(());
         };
-        self.matcher
-            .settle_silence(&self.packets[last], &mut packet);
-        let relation = self.matcher.between(&self.packets[last], &packet);
+        if let Ok([last, packet]) = self.packets.get_disjoint_mut([last, index]) {
+            self.matcher.settle_silence(last, packet);
+        }
+        let relation = self.between(last, index);
         self.weigh(relation);
-        if self.confirm(&packet, relation) {
+        if self.confirm(index, relation) {
             return Ok(());
         }
         match relation {
-            Relation::Follows(_, fit)
+            Relation::Follows(before, fit)
                 if self.is_as_good(fit, MatchQuality::Good)
-                    && self.matcher.is_familiar(&packet.motion) =>
+                    && self.matcher.is_familiar(&self.packets[index].motion) =>
             {
                 self.set_back = 0;
                 self.drop_suspect();
-                let index = self.store(packet);
-                self.hold(index);
-                self.settle(HOLD);
+                self.accept(index, before);
                 Ok(())
             }
-            Relation::Behind => self.look_back(packet),
+            Relation::Behind => self.look_back(index),
             Relation::Follows(..) | Relation::Unrelated => {
                 self.drop_suspect();
-                self.suspect = Some(self.store(packet));
+                self.suspect = Some(index);
                 Ok(())
             }
         }
@@ -248,26 +248,31 @@ impl PacketOrder {
         fit >= as_that || self.off_beat >= UNSTEADY
     }
 
+    /// The relation of a packet to an earlier one.
+    fn between(&self, earlier: usize, later: usize) -> Relation {
+        (self.matcher).between(&self.packets[earlier], &self.packets[later])
+    }
+
     /// The gap between two packets, if the later one follows the earlier exactly.
-    fn gap_between(&self, earlier: &OrderedPacket, later: &OrderedPacket) -> Option<PacketGap> {
-        match self.matcher.between(earlier, later) {
+    fn gap_between(&self, earlier: usize, later: usize) -> Option<PacketGap> {
+        match self.between(earlier, later) {
             Relation::Follows(gap, fit) if self.is_as_good(fit, MatchQuality::Exact) => Some(gap),
             _ => None,
         }
     }
 
     /// Accepts the doubtful packet if this one follows it, or was overtaken by it.
-    fn confirm(&mut self, packet: &OrderedPacket, relation: Relation) -> bool {
+    fn confirm(&mut self, index: usize, relation: Relation) -> bool {
         let Some((suspect, last)) = self.suspect.zip(self.last) else {
             return false;
         };
-        let doubtful = &self.packets[suspect];
+        let [doubtful, packet] = [suspect, index].map(|index| &self.packets[index]);
         let is_next = matches!(relation, Relation::Follows(PacketGap::None, fit) if self.is_as_good(fit, MatchQuality::Good));
-        let before = self.gap_between(doubtful, packet).filter(|_| !is_next);
+        let before = self.gap_between(suspect, index).filter(|_| !is_next);
         // An earlier packet cannot confirm the far end of a doubtful one.
         let is_overtaken = self.matcher.is_familiar(&doubtful.motion)
             && matches!(relation, Relation::Follows(..))
-            && self.gap_between(packet, doubtful).is_some();
+            && self.gap_between(index, suspect).is_some();
         if before.is_none() && !is_overtaken {
             return false;
         }
@@ -280,36 +285,43 @@ impl PacketOrder {
         }
         self.suspect = None;
         self.set_back = 0;
-        let between = self
-            .matcher
-            .between(&self.packets[last], &self.packets[suspect]);
-        if before.is_none() || matches!(between, Relation::Follows(..)) {
+        if before.is_none() || matches!(self.between(last, suspect), Relation::Follows(..)) {
             self.hold(suspect);
         } else {
             self.settle(0);
             self.begin_anew(suspect);
         }
-        let index = self.store(*packet);
         self.hold(index);
         self.settle(HOLD);
         true
     }
 
     /// A packet from before those that have come out. Many in a row mean that the clock was set
-    /// back.
-    fn look_back(&mut self, packet: OrderedPacket) -> Result<(), Rejection> {
+    /// back. It stays stored, so that its copy is known.
+    fn look_back(&mut self, index: usize) -> Result<(), Rejection> {
         self.set_back += 1;
         if self.set_back >= SET_BACK_PACKETS {
             self.counts.set_back += u64::from(SET_BACK_PACKETS - 1);
-            self.restart(packet);
+            self.flush();
+            self.set_back = 0;
+            self.begin_anew(index);
             return Ok(());
         }
-        // Kept, so that its copy is known.
-        self.store(packet);
+        let packet = &self.packets[index];
         Err(Rejection::Behind {
             motion: packet.motion,
             time_ns: packet.time_ns,
         })
+    }
+
+    /// Releases a packet behind the newest one at once, if nothing waits or is waited for.
+    fn accept(&mut self, index: usize, before: PacketGap) {
+        if self.held.is_empty() && !matches!(before, PacketGap::Lost { .. }) {
+            self.release(index, before);
+        } else {
+            self.hold(index);
+            self.settle(HOLD);
+        }
     }
 
     /// Puts a packet among those held, by time.
@@ -326,10 +338,7 @@ impl PacketOrder {
     /// behind a gap, those behind it too.
     fn settle(&mut self, patience: usize) {
         while let (Some(&index), Some(last)) = (self.held.first(), self.last) {
-            let Relation::Follows(before, _) = self
-                .matcher
-                .between(&self.packets[last], &self.packets[index])
-            else {
+            let Relation::Follows(before, _) = self.between(last, index) else {
                 // Two with the same stamp, or a packet between them that contradicts.
                 self.held.remove(0);
                 self.counts.unconfirmed += 1;
@@ -349,17 +358,6 @@ impl PacketOrder {
 
     fn drop_suspect(&mut self) {
         self.counts.unconfirmed += u64::from(self.suspect.take().is_some());
-    }
-
-    fn start(&mut self, packet: OrderedPacket) {
-        let index = self.store(packet);
-        self.begin_anew(index);
-    }
-
-    fn restart(&mut self, packet: OrderedPacket) {
-        self.flush();
-        self.set_back = 0;
-        self.start(packet);
     }
 
     /// Releases a packet that does not follow from the one before.
@@ -400,18 +398,21 @@ impl PacketOrder {
 
     /// Stores a packet in place of the oldest one that is not in use.
     fn store(&mut self, packet: OrderedPacket) -> usize {
+        let stamp_us = packet.bytes.stamp_us();
         if self.packets.len() >= KEPT {
             for _ in 0..KEPT {
                 let index = self.next_index;
                 self.next_index = (index + 1) % KEPT;
                 if !self.is_in_use(index) {
                     self.packets[index] = packet;
+                    self.stamps_us[index] = stamp_us;
                     return index;
                 }
             }
         }
         // Grows beyond the usual number only if ready packets are not taken out.
         self.packets.push(packet);
+        self.stamps_us.push(stamp_us);
         self.packets.len() - 1
     }
 
