@@ -332,11 +332,13 @@ impl DataStream {
         let (Some(order), Some(Ok(detection))) = (&mut self.order, self.model) else {
             return;
         };
-        if !detection.has_layout(packet) {
+        let banks = packet.banks();
+        if !detection.has_layout(banks) {
             self.malformed += 1;
             return;
         }
-        let mode = detection.mode_of(packet, self.last_mode.unwrap_or(detection.return_mode));
+        let last_mode = self.last_mode.unwrap_or(detection.return_mode);
+        let mode = detection.mode_of(packet, banks, last_mode);
         match order.push(packet, mode, self.packets, arrival_ns) {
             Ok(()) => {}
             Err(Rejection::Duplicate) => self.motion.duplicates += 1,

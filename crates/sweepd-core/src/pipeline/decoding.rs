@@ -124,16 +124,20 @@ impl Decoding {
             arrival_ns,
         } = *packet;
         let counts = &mut report.counts;
-        if bytes.banks().count().is_none() {
+        let banks = bytes.banks();
+        if banks.count().is_none() {
             counts.malformed += 1;
             return;
         }
         let without_confidence = bytes.without_confidence();
-        let bytes = without_confidence.as_ref().unwrap_or(bytes);
+        let (bytes, banks) = match &without_confidence {
+            Some(bytes) => (bytes, bytes.banks()),
+            None => (bytes, banks),
+        };
         let is_detected = setup.config.model.is_none();
         let has_product = self.detection.spec.product.is_some() && is_detected;
         let is_foreign =
-            !self.detection.has_layout(bytes) || has_product && bytes.product != self.product;
+            !self.detection.has_layout(banks) || has_product && bytes.product != self.product;
         self.foreign.note(is_foreign);
         if is_foreign {
             counts.foreign += 1;
@@ -147,7 +151,7 @@ impl Decoding {
                 .notices
                 .push_back(Notice::OtherCalibration { differences });
         }
-        let mode = self.detection.mode_of(bytes, self.last_mode);
+        let mode = self.detection.mode_of(bytes, banks, self.last_mode);
         self.measure(bytes, mode);
         self.last_mode = mode;
         match self.order.push(bytes, mode, number, arrival_ns) {

@@ -252,7 +252,7 @@ impl Calibrating {
     ) -> Option<KnownSensor> {
         report.counts.undecoded += 1;
         let bytes = packet.bytes;
-        let is_foreign = !self.detection.has_layout(bytes);
+        let is_foreign = !self.detection.has_layout(bytes.banks());
         self.foreign.note(is_foreign);
         if is_foreign {
             return None;

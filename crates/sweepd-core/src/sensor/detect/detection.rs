@@ -41,11 +41,11 @@ pub(super) fn of_one_return(byte: u8) -> ReturnMode {
 }
 
 impl Detection {
-    /// The return mode of a packet; `last` is that of the packet before. An HDL-64E shows it by its
-    /// azimuths, and keeps the last mode while the head stands still; a VLS-128 by its blocks.
-    /// Other models have a byte for it; if that is blank, the detected mode applies.
-    pub fn mode_of(&self, packet: &DataPacket, last: ReturnMode) -> ReturnMode {
-        match packet.banks() {
+    /// The return mode of a packet with these banks; `last` is that of the packet before. An HDL-64E
+    /// shows it by its azimuths, and keeps the last mode while the head stands still; a VLS-128 by its
+    /// blocks. Other models have a byte for it; if that is blank, the detected mode applies.
+    pub fn mode_of(&self, packet: &DataPacket, banks: Banks, last: ReturnMode) -> ReturnMode {
+        match banks {
             Banks::FourTwice => return ReturnMode::Dual,
             Banks::Four => return of_one_return(packet.return_mode),
             _ => {}
@@ -60,9 +60,8 @@ impl Detection {
         }
     }
 
-    /// Whether a packet has the layout of this sensor's packets.
-    pub fn has_layout(&self, packet: &DataPacket) -> bool {
-        let banks = packet.banks();
+    /// Whether packets with these banks have the layout of this sensor's.
+    pub fn has_layout(&self, banks: Banks) -> bool {
         banks != Banks::FourThrice && banks.count() == Some(self.model.spec().banks())
     }
 }

@@ -721,9 +721,11 @@ fn an_hdl64e_says_its_return_mode_by_azimuths_that_differ() {
     use ReturnMode::{Dual, Strongest};
     let detection = found(Model::Hdl64eS3, Strongest, Basis::HeadsAndPeriod).unwrap();
     for last in [Strongest, Dual] {
-        assert_eq!(detection.mode_of(&two_heads(0, 2), last), Strongest);
-        assert_eq!(detection.mode_of(&two_heads(0, 4), last), Dual);
-        assert_eq!(detection.mode_of(&two_heads(0, 12), last), last);
+        for (blocks, expected) in [(2, Strongest), (4, Dual), (12, last)] {
+            let packet = two_heads(0, blocks);
+            let mode = detection.mode_of(&packet, packet.banks(), last);
+            assert_eq!(mode, expected);
+        }
     }
 }
 
