@@ -38,13 +38,23 @@ fn data() -> Option<PathBuf> {
         .filter(|dir| dir.join("pcap").is_dir())
 }
 
-/// Data packets of a model, some turns of the street.
-fn packets(model: Model, mode: ReturnMode, turns: f64) -> Vec<DataPacket> {
-    let scene = fixtures::scene();
-    let emitter = Emitter::new(EmitterConfig::new(model, mode).turns(turns), &scene);
-    emitter
-        .filter_map(|one| DataPacket::parse(&one.payload).ok().copied())
-        .collect()
+/// Data packets of a model, three turns of the street, or those of a capture; none where that is not
+/// at hand.
+fn packets(&Stream(model, mode, capture): &Stream) -> Vec<DataPacket> {
+    let mut packets = Vec::new();
+    if let Some(name) = capture {
+        let Some(data) = data() else { return packets };
+        let path = data.join("pcap").join(name).with_extension("pcap");
+        let mut capture = Capture::open(&path).unwrap();
+        while let Some(datagram) = capture.next_datagram().unwrap() {
+            packets.extend(DataPacket::parse(datagram.payload));
+        }
+    } else {
+        let scene = fixtures::scene();
+        let emitter = Emitter::new(EmitterConfig::new(model, mode).turns(3.0), &scene);
+        packets.extend(emitter.filter_map(|one| DataPacket::parse(&one.payload).ok().copied()));
+    }
+    packets
 }
 
 /// The beams that the simulated sensor of a model has.
@@ -54,8 +64,8 @@ fn beams(model: Model) -> Calibration {
         .into_owned()
 }
 
-/// A stream to decode, named for the table.
-struct Stream(Model, ReturnMode);
+/// A stream to decode, named for the table; of a capture, or simulated.
+struct Stream(Model, ReturnMode, Option<&'static str>);
 
 impl std::fmt::Display for Stream {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -64,27 +74,42 @@ impl std::fmt::Display for Stream {
         } else {
             "single"
         };
-        write!(f, "{} {returns}", self.0)
+        match self.2 {
+            Some(capture) => f.write_str(capture),
+            None => write!(f, "{} {returns}", self.0),
+        }
     }
 }
 
-const STREAMS: [Stream; 10] = [
-    Stream(Model::Vlp16, ReturnMode::Strongest),
-    Stream(Model::Vlp16, ReturnMode::Dual),
-    Stream(Model::Hdl32e, ReturnMode::Strongest),
-    Stream(Model::Hdl32e, ReturnMode::Dual),
-    Stream(Model::Hdl64eS2, ReturnMode::Strongest),
-    Stream(Model::Hdl64eS3, ReturnMode::Dual),
-    Stream(Model::Vlp32c, ReturnMode::Strongest),
-    Stream(Model::Vlp32c, ReturnMode::Dual),
-    Stream(Model::Vls128, ReturnMode::Strongest),
-    Stream(Model::Vls128, ReturnMode::Dual),
+const STREAMS: [Stream; 13] = [
+    Stream(Model::Vlp16, ReturnMode::Strongest, Some("vlp16_einride-a")),
+    Stream(Model::Vlp16, ReturnMode::Dual, Some("vlp16_timm-dual-a")),
+    Stream(
+        Model::Hdl32e,
+        ReturnMode::Strongest,
+        Some("hdl32e_veloview-monterey-a"),
+    ),
+    Stream(Model::Vlp16, ReturnMode::Strongest, None),
+    Stream(Model::Vlp16, ReturnMode::Dual, None),
+    Stream(Model::Hdl32e, ReturnMode::Strongest, None),
+    Stream(Model::Hdl32e, ReturnMode::Dual, None),
+    Stream(Model::Hdl64eS2, ReturnMode::Strongest, None),
+    Stream(Model::Hdl64eS3, ReturnMode::Dual, None),
+    Stream(Model::Vlp32c, ReturnMode::Strongest, None),
+    Stream(Model::Vlp32c, ReturnMode::Dual, None),
+    Stream(Model::Vls128, ReturnMode::Strongest, None),
+    Stream(Model::Vls128, ReturnMode::Dual, None),
 ];
 
-/// Packets to sweeps, without segmentation; items are returns.
+/// Datagrams to sweeps, without segmentation: parsed, put in order, the head followed, and decoded;
+/// items are returns.
 #[divan::bench(args = STREAMS, sample_count = 50)]
-fn decode(bencher: Bencher, &Stream(model, mode): &Stream) {
-    let packets = packets(model, mode, 3.0);
+fn decode(bencher: Bencher, stream: &Stream) {
+    let packets = packets(stream);
+    if packets.is_empty() {
+        return;
+    }
+    let &Stream(model, mode, _) = stream;
     let returns: usize = packets.iter().map(DataPacket::returns).sum();
     let buffers = HeapBuffers::default();
     let settings = BuilderConfig {
@@ -106,12 +131,10 @@ fn decode(bencher: Bencher, &Stream(model, mode): &Stream) {
         let mut builder = Builder::new(decoder, settings.clone());
         let mut buffer = Memory::new(buffers.clone());
         for (number, packet) in packets.iter().enumerate() {
-            let _ = order.push(
-                black_box(packet),
-                mode,
-                number as u64,
-                number as i64 * 1_000_000,
-            );
+            let Ok(packet) = DataPacket::parse(black_box(packet.emit())) else {
+                continue;
+            };
+            let _ = order.push(packet, mode, number as u64, number as i64 * 1_000_000);
             while let Some((index, before)) = order.pop() {
                 builder.begin(index, order.packet(index), before);
                 while builder.advance(order.packet(index), order.clock(), &mut buffer) {
