@@ -56,6 +56,16 @@ pub struct RangeScale {
 }
 
 impl RangeScale {
+    /// Each darker than the one before, so that people who do not tell red from green see the order too.
+    const COLORS: [Rgb888; 6] = [
+        Rgb888::new(255, 244, 150),
+        Rgb888::new(255, 190, 70),
+        Rgb888::new(246, 126, 76),
+        Rgb888::new(200, 90, 140),
+        Rgb888::new(116, 86, 190),
+        Rgb888::new(40, 76, 160),
+    ];
+
     /// A scale that spreads over nearly all of these ranges, between round numbers, so that sweeps
     /// of one place share it.
     pub fn of(ranges_m: &mut [f64]) -> Self {
@@ -77,9 +87,9 @@ impl RangeScale {
 
     /// Colour of a place on the scale.
     pub fn color_at(position: f64) -> Rgb888 {
-        // The ends of Turbo are too dark to be seen on the page.
-        let color = colorous::TURBO.eval_continuous(0.92 - 0.84 * position);
-        Rgb888::new(color.r, color.g, color.b)
+        let place = position * (Self::COLORS.len() - 1) as f64;
+        let first = (place as usize).min(Self::COLORS.len() - 2);
+        mixed(Self::COLORS[first], Self::COLORS[first + 1], place - first as f64)
     }
 
     /// Colour of a range.
@@ -253,8 +263,8 @@ mod tests {
                 far_m: 10.0
             }
         );
-        let red = scale.color(2.0);
-        assert!(red.r() > 150 && red.b() < 60);
+        let [near, far] = [2.0, 50.0].map(|range_m| scale.color(range_m));
+        assert!(near.r() > near.b() && far.r() < far.b());
     }
 
     #[test]

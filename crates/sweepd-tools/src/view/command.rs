@@ -64,7 +64,8 @@ pub struct Args {
     /// Do not open the browser
     #[arg(long)]
     no_open: bool,
-    /// At the end of a capture, begin again; a simulation always does
+    /// At the end of a capture, begin again; a simulation, and a capture of at most 100 sweeps, always
+    /// does
     #[arg(long = "loop")]
     is_endless: bool,
     #[command(flatten)]

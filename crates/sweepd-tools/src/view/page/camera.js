@@ -4,14 +4,19 @@
 const LEAST_M = 0.5;
 const MOST_M = 800;
 
-/** Where a view looks from: metres and radians. */
+/** Where a view looks from, radians; target and distance, metres, come from the points. */
 export const VIEWS = {
-  orbit: { target: [0, 4, 0], yaw: -0.6, pitch: 0.55, distance: 34, field: 0.9 },
-  above: { target: [0, 0, 0], yaw: 0, pitch: Math.PI / 2, distance: 62, field: 0.9 },
-  behind: { target: [0, 10, 0], yaw: 0, pitch: 0.3, distance: 26, field: 0.9 },
+  orbit: { yaw: -0.6, pitch: 0.55, field: 0.9 },
+  above: { yaw: 0, pitch: Math.PI / 2, field: 0.9 },
+  behind: { yaw: 0, pitch: 0.3, field: 0.9 },
   // As the sensor sees: turning looks around, zooming narrows the field.
-  sensor: { target: [0, 0, 0], yaw: 0, pitch: 0, distance: 0, field: 1.25 },
+  sensor: { yaw: 0, pitch: 0, field: 1.25, distance: 0 },
 };
+/** The part of the points that a view shows, and that of those whose middle it looks at: few are far out. */
+const SHOWN = 0.97;
+const INNER = 0.9;
+/** So many points tell where all are. */
+const SAMPLES = 4000;
 
 export class Camera {
   constructor() {
@@ -20,8 +25,28 @@ export class Camera {
 
   /** Takes one of VIEWS. */
   look(name) {
-    const { target, ...rest } = VIEWS[name];
-    Object.assign(this, rest, { target: [...target], view: name });
+    /** `aspect`: that of the view to which it fits the points, null before; `held`: a person moved it. */
+    Object.assign(this, { distance: 34, target: [0, 0, 0], aspect: null, held: false }, VIEWS[name], { view: name });
+  }
+
+  /** Looks at the middle of points from where nearly all are in sight, in a view of this width to its height. */
+  fit({ position, count }, aspect) {
+    if (count === 0) return;
+    this.aspect = aspect;
+    if (this.distance === 0) return;
+    const step = Math.ceil(count / SAMPLES);
+    const some = Array.from({ length: Math.floor(count / step) }, (_, index) => [...position.subarray(3 * step * index, 3 * step * index + 3)]);
+    const at = (values, part) => values.sort((one, other) => one - other)[Math.floor((values.length - 1) * part)];
+    this.target = [0, 1, 2].map((axis) => {
+      const values = some.map((point) => point[axis]);
+      return (at(values, 1 - INNER) + at(values, INNER)) / 2;
+    });
+    const { right, up, into } = this.axes();
+    const along = (axis, point) => axis.reduce((sum, value, index) => sum + value * (point[index] - this.target[index]), 0);
+    const reach = Math.tan(this.field / 2);
+    const distances = some.map((point) =>
+      Math.max(Math.abs(along(right, point)) / (reach * aspect), Math.abs(along(up, point)) / reach) - along(into, point));
+    this.distance = Math.min(MOST_M, Math.max(LEAST_M, 1.05 * at(distances, SHOWN)));
   }
 
   /** Directions of the screen in space: right, up, and into it. */
@@ -42,6 +67,7 @@ export class Camera {
   }
 
   turn(right, down) {
+    this.held = true;
     // From the sensor, the scene follows the hand; else the camera goes around it.
     const sign = this.distance === 0 ? -1 : 1;
     this.yaw += sign * right;
@@ -50,6 +76,7 @@ export class Camera {
 
   /** Moves by pixels of a view that is `height` pixels high. */
   pan(right, down, height) {
+    this.held = true;
     if (this.distance === 0) return this.turn((right / height) * this.field, (down / height) * this.field);
     const { right: x, up: y } = this.axes();
     const metres = (2 * this.distance * Math.tan(this.field / 2)) / height;
@@ -58,6 +85,7 @@ export class Camera {
 
   /** Nearer (less than 1) or farther, by a factor. */
   zoom(factor) {
+    this.held = true;
     if (this.distance === 0) this.field = Math.min(1.9, Math.max(0.05, this.field * factor));
     else this.distance = Math.min(MOST_M, Math.max(LEAST_M, this.distance * factor));
   }

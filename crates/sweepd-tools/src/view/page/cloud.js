@@ -131,9 +131,17 @@ export class CloudView {
 
   look(view) {
     this.camera.look(view);
+    this.fit();
     // As the sensor sees, from where it is.
     if (view === "sensor") this.camera.target = [...moved(this.last.pose, [0, 0, 0])];
     this.touch();
+  }
+
+  /** Fits a camera that nobody moved to the points, where it does not fit this view of them yet. */
+  fit() {
+    const { camera } = this;
+    const { width, height } = this.area(0);
+    if (height > 0 && !camera.held && camera.aspect !== width / height) camera.fit(this.last.points, width / height);
   }
 
   /** The side that is shown last. */
@@ -188,6 +196,7 @@ export class CloudView {
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.clearRect(0, 0, width, height);
     if (width === 0 || height === 0) return false;
+    this.fit();
     gl.enable(gl.SCISSOR_TEST);
     this.shown.forEach((index, place) => {
       const area = this.area(place);
@@ -602,21 +611,21 @@ function paint(side, by) {
   if (by === "height") {
     const height = heights(side);
     const top = palette.roundUp(Math.max(1, mostly(height)));
-    each((index) => palette.at(palette.HEIGHT, height[index] / top));
-    return { colours: palette.HEIGHT, ticks: ticks([0, top / 2, top], (value) => value / top, " m") };
+    each((index) => palette.at(palette.LOW_TO_HIGH, height[index] / top));
+    return { colours: palette.LOW_TO_HIGH, ticks: ticks([0, top / 2, top], (value) => value / top, " m") };
   }
   if (by === "ring") {
-    each((index) => palette.at(palette.RING, (rows - 1 - ((pixels[index] & ~OTHER) % rows)) / Math.max(1, rows - 1)));
-    return { colours: palette.RING, ticks: ticks([0, rows >> 1, rows - 1], (value) => value / Math.max(1, rows - 1), "") };
+    each((index) => palette.at(palette.LOW_TO_HIGH, (rows - 1 - ((pixels[index] & ~OTHER) % rows)) / Math.max(1, rows - 1)));
+    return { colours: palette.LOW_TO_HIGH, ticks: ticks([0, rows >> 1, rows - 1], (value) => value / Math.max(1, rows - 1), "") };
   }
   if (by === "time") {
     const whole = Math.max(1, Number(sweep.header.duration_ns));
     each((index) => {
       const pixel = pixels[index] & ~OTHER;
       const row = pixel % rows;
-      return palette.at(palette.TIME, sweep.afterNs(row, (pixel - row) / rows) / whole);
+      return palette.at(palette.LOW_TO_HIGH, sweep.afterNs(row, (pixel - row) / rows) / whole);
     });
-    return { colours: palette.TIME, ticks: [[0, "0 ms"], [1, `${(whole / 1e6).toFixed(0)} ms`]] };
+    return { colours: palette.LOW_TO_HIGH, ticks: [[0, "0 ms"], [1, `${(whole / 1e6).toFixed(0)} ms`]] };
   }
   if (by === "ground") {
     each((index) => {

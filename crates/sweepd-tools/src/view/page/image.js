@@ -18,7 +18,8 @@ export class ImageView {
     this.strips = [new Strip(0, "range"), new Strip(0, "label")];
     this.window = { left: 0, top: 0, width: 1, height: 1 };
     this.marked = { label: 0, row: null, column: null };
-    this.pointer = null;
+    /** Row and column at which keys point. */
+    this.cursor = null;
     this.dirty = true;
     this.listen();
     new ResizeObserver(() => this.touch()).observe(canvas);
@@ -235,9 +236,42 @@ export class ImageView {
     this.move(right, lower);
   }
 
+  /** Points at a pixel by a key, holds it, or zooms there; gives whether the key means anything here. */
+  key(event) {
+    const { side, sweep } = this.strips[1];
+    if (sweep === null || sweep.count === 0) return false;
+    const arrow = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowUp: [-1, 0], ArrowDown: [1, 0] }[event.key];
+    const zoom = { "+": 0.8, "=": 0.8, "-": 1.25 }[event.key];
+    const far = event.shiftKey ? 10 : 1;
+    const { row = sweep.rows >> 1, column = sweep.count >> 1 } = this.cursor ?? {};
+    if (zoom !== undefined) this.zoom(zoom, ...this.place(1, row, column));
+    else if (event.key === "Enter") this.report("click", { side, pixel: column * sweep.rows + row, other: false });
+    else if (arrow === undefined) return false;
+    else {
+      const to = { row: row + far * arrow[0], column: (column + far * arrow[1] + sweep.count) % sweep.count };
+      this.cursor = { ...to, row: Math.min(sweep.rows - 1, Math.max(0, to.row)) };
+      this.report("hover", { side, pixel: this.cursor.column * sweep.rows + this.cursor.row, other: false });
+      this.reveal(this.cursor, sweep);
+    }
+    return true;
+  }
+
+  /** Moves the images so that a pixel is in sight. */
+  reveal({ row, column }, sweep) {
+    const { left, top, width, height } = this.window;
+    const off = (part, from, length) => Math.min(0, part - from) + Math.max(0, part - from - length);
+    this.move(off((column + 0.5) / sweep.count, left, width), off((row + 0.5) / sweep.rows, top, height));
+  }
+
   listen() {
     const { canvas } = this;
     const held = new Map();
+    canvas.addEventListener("keydown", (event) => {
+      if (event.ctrlKey || event.metaKey || event.altKey || !this.key(event)) return;
+      event.preventDefault();
+      event.stopPropagation();
+    });
+    canvas.addEventListener("blur", () => this.report("leave", null));
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
       held.set(event.pointerId, { x: event.offsetX, y: event.offsetY, moved: 0, button: event.button });

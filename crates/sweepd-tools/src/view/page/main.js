@@ -19,10 +19,14 @@ import { Tuning } from "./tuning.js";
 
 /** How long is waited before a connection is tried again, milliseconds. */
 const AGAIN_MS = 1000;
-/** Interval of the table, the facts and the plots: faster, no eye can read them. */
+/** Interval of the facts and the plots: faster, no eye can read them. */
 const WORDS_MS = 400;
 
+/** Who asks for less motion gets a picture in this time while it plays, milliseconds. */
+const CALM_MS = 1000;
+
 const find = (id) => document.getElementById(id);
+const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
 
 class Page {
   constructor() {
@@ -31,6 +35,8 @@ class Page {
     /** The sweep that is shown, as it is and tuned, and what the server said of it. */
     this.sweeps = [null, null];
     this.notice = null;
+    /** The newest sweep as it is, which may wait for its tuned copy. */
+    this.come = null;
     /** The sweep of the side that is looked at, and what the server said of one that is not drawn yet. */
     this.shown = null;
     this.waiting = null;
@@ -55,7 +61,7 @@ class Page {
     this.facts = new Facts(find("facts"), find("selection"));
     const send = (what) => this.send(what);
     this.timeline = new Timeline(find("timeline"), send);
-    this.tuning = new Tuning(find("tuning"), send, (mode) => this.compare(mode));
+    this.tuning = new Tuning(find("tuning"), send, () => this.compare());
     this.controls();
     this.connect();
     const frame = () => {
@@ -102,7 +108,7 @@ class Page {
     else if (message.type === "state") this.say(message);
     else if (message.type === "sweep") this.head = { ...message, received: performance.now() };
     else if (message.type === "empty") this.clear();
-    else if (message.type === "refused" && message.of === "tuning") this.tuning.refuse(message.text);
+    else if (message.type === "refused" && message.of === "tuning") this.refuse(message.text);
     else if (message.type === "refused") tell(`not done: ${message.text}`);
     else if (message.type === "configuration") this.tuning.configuration(message.text);
   }
@@ -125,6 +131,7 @@ class Page {
     choice.value = source.chosen ?? source.name;
     const list = find("choice");
     list.hidden = source.kind !== "choice";
+    for (const behind of document.querySelectorAll("main, aside")) behind.inert = !list.hidden;
     if (source.kind === "choice") {
       const buttons = sensors.map((name) => {
         const button = document.createElement("button");
@@ -157,27 +164,32 @@ class Page {
     this.status.sweeps++;
     // A sweep and its tuned copy may come before either is drawn.
     this.waiting ??= head;
-    if (head.tuned) {
-      if (this.notice !== null && head.index === this.notice.index) this.takeTuned(head, sweep);
-      return;
+    if (!head.tuned) {
+      this.come = { head, sweep };
+      // Its tuned copy follows, and both are shown at once: never the points of one moment and the labels of another.
+      if (!this.tuning.active) this.take(null);
+    } else if (this.tuning.active && head.sequence === this.come?.head.sequence) {
+      this.tuning.compareCounts(this.come.sweep, sweep);
+      this.take(sweep);
     }
+  }
+
+  /** Shows the newest sweep, and its tuned copy where there is one. */
+  take(tuned) {
+    const { head, sweep } = this.come;
     this.notice = head;
     this.status.index = head.index;
     this.status.sequence = head.sequence;
-    // While the tuned sweep is looked at, the picture waits for it rather than flicker.
-    const waits = this.tuning.active && this.tuning.mode === "after" && this.sweeps[1] !== null;
-    this.sweeps = [sweep, waits ? this.sweeps[1] : null];
-    if (!waits || this.isLate) this.show();
-    this.isLate = waits;
+    this.sweeps = [sweep, tuned];
+    this.show();
     if (head.index !== null) this.timeline.at(head.index, head.sequence);
     this.link();
   }
 
-  takeTuned(head, sweep) {
-    this.sweeps[1] = sweep;
-    this.isLate = false;
-    this.tuning.compareCounts(this.sweeps[0], sweep);
-    this.show();
+  refuse(text) {
+    this.tuning.refuse(text);
+    // There is no tuned copy of it.
+    if (this.come !== null && this.come.sweep !== this.sweeps[0]) this.take(null);
   }
 
   // ---- What is shown
@@ -188,7 +200,9 @@ class Page {
     this.pointed = null;
     this.pinned = null;
     this.notice = null;
+    this.come = null;
     this.plots.clear();
+    this.cloud.look(this.cloud.camera.view);
     this.show();
     if (this.waiting === null) return;
     this.waiting = null;
@@ -206,7 +220,7 @@ class Page {
   }
 
   show() {
-    const mode = this.tuning.active ? this.tuning.mode : "before";
+    const mode = this.sweeps[1] === null ? "before" : this.tuning.mode;
     const sides = { before: [0], after: [1], both: [0, 1] }[mode];
     this.cloud.shown = sides;
     for (const index of sides) this.cloud.show(index, this.side(index));
@@ -214,9 +228,13 @@ class Page {
     const strips = mode === "both" ? [[0, "label"], [1, "label"]] : [[one, this.first], [one, "label"]];
     this.images.show(this.sweeps.map((_, index) => this.side(index)), strips);
     this.shown = this.side(one);
-    this.status.tuned = one === 1 && this.sweeps[1] !== null;
+    this.status.tuned = one === 1;
     this.wordsDue = true;
     this.legend();
+    this.table.show(this.cloud.last.segments);
+    find("count").textContent = String(this.shown?.segments.length ?? "");
+    find("none").hidden = this.shown !== null;
+    find("second").hidden = this.shown?.range2 === null;
     find("unmounted").hidden = this.poseOf(this.shown) === null || this.shown.isMounted;
     // The pointer stays where it is, and other points come to lie under it.
     if (this.pointed?.by === "cloud" && this.cloud.pointer !== null) {
@@ -226,8 +244,11 @@ class Page {
     this.resolve();
   }
 
-  compare(mode) {
-    if (this.sweeps?.[0]) this.show();
+  /** What is compared has changed, or tuning has ended. */
+  compare() {
+    if (!this.come) return;
+    if (this.tuning.active) this.show();
+    else this.take(null);
   }
 
   frame() {
@@ -254,7 +275,8 @@ class Page {
     this.status.latency_ms = sorted[sorted.length >> 1];
     this.status.drawing_ms = now - before;
     if (!head.tuned) this.plot(head, now);
-    this.send({ do: "drawn" });
+    if (calm.matches && this.state.playing) setTimeout(() => this.send({ do: "drawn" }), CALM_MS);
+    else this.send({ do: "drawn" });
   }
 
   /**
@@ -262,7 +284,7 @@ class Page {
    * capture, from receipt to picture.
    */
   plot(head, now) {
-    const [{ header }] = this.sweeps;
+    const { header } = this.come.sweep;
     const age = Date.now() - Number(header.arrival_ns) / 1e6;
     // A capture that is played as a sensor has arrival times of its own.
     const isLive = this.source?.kind === "sensor" && age > -50 && age < 60000;
@@ -274,9 +296,6 @@ class Page {
     this.wordsDue = false;
     this.wordsAt = now;
     this.plots.draw();
-    this.table.show(this.cloud.last.segments);
-    this.table.mark(this.selection?.label ?? 0, this.pointed?.by === "table");
-    find("count").textContent = String(this.shown?.segments.length ?? "");
     find("now").textContent = this.shown === null ? "" : this.words();
     if (this.shown === null) return;
     this.facts.show(this.shown, this.notice?.missed ?? 0, this.state.facts ?? {}, this.plots.newest("latency") ?? 0);
@@ -386,9 +405,18 @@ class Page {
       button.addEventListener("click", () => this.strip(button.dataset.strip));
     }
     find("whole").addEventListener("click", () => this.images.reset());
-    for (const tab of document.querySelectorAll("[data-tab]")) {
+    const tabs = [...document.querySelectorAll("[data-tab]")];
+    tabs.forEach((tab, index) => {
       tab.addEventListener("click", () => this.tab(tab.dataset.tab));
-    }
+      tab.addEventListener("keydown", (event) => {
+        const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+        if (by === undefined) return;
+        event.stopPropagation();
+        const next = tabs.at((index + by) % tabs.length);
+        next.focus();
+        next.click();
+      });
+    });
     for (const button of document.querySelectorAll("[data-save]")) {
       button.addEventListener("click", () => this.save(button.dataset.save));
     }
@@ -414,6 +442,7 @@ class Page {
   tab(name) {
     for (const tab of document.querySelectorAll("[data-tab]")) {
       tab.setAttribute("aria-selected", String(tab.dataset.tab === name));
+      tab.tabIndex = tab.dataset.tab === name ? 0 : -1;
       find(tab.dataset.tab).hidden = tab.dataset.tab !== name;
     }
     this.wordsDue = true;

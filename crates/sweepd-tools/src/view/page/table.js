@@ -4,23 +4,16 @@ import * as palette from "./palette.js";
 
 const ROW = 24;
 
-/** The columns: heading, what it is sorted by, and its text. */
+/** The columns: heading and unit, what it is sorted by, its text, and what it is. */
 const COLUMNS = [
-  ["label", (segment) => segment.label, String],
-  ["nearest", (segment) => segment.nearest_m, (value) => value.toFixed(2)],
-  ["azimuth", azimuthOf, (value) => `${value.toFixed(0)}°`],
-  ["width", (segment) => spread(segment, 0), (value) => value.toFixed(1)],
-  ["depth", (segment) => spread(segment, 1), (value) => value.toFixed(1)],
-  ["height", (segment) => spread(segment, 2), (value) => value.toFixed(1)],
-  ["points", (segment) => segment.points, String],
+  ["label", "", (segment) => segment.label, String, ""],
+  ["nearest", "m", (segment) => segment.nearest_m, (value) => value.toFixed(2), "range of the nearest return"],
+  ["azimuth", "°", azimuthOf, (value) => value.toFixed(0), "direction of the middle, clockwise from forward"],
+  ["width", "m", (segment) => spread(segment, 0), (value) => value.toFixed(1), "along x"],
+  ["depth", "m", (segment) => spread(segment, 1), (value) => value.toFixed(1), "along y"],
+  ["height", "m", (segment) => spread(segment, 2), (value) => value.toFixed(1), "along z"],
+  ["points", "", (segment) => segment.points, String, ""],
 ];
-const TITLES = {
-  nearest: "range of the nearest return, metres",
-  azimuth: "direction of the middle, clockwise from forward",
-  width: "along x, metres",
-  depth: "along y, metres",
-  height: "along z, metres",
-};
 
 export class Table {
   constructor(root, report) {
@@ -30,27 +23,28 @@ export class Table {
     this.segments = [];
     this.marked = 0;
     this.rows = [];
-    this.head = document.createElement("div");
-    this.head.className = "row head";
-    this.body = document.createElement("div");
-    this.body.className = "rows";
-    this.body.tabIndex = 0;
-    this.body.setAttribute("role", "rowgroup");
+    this.head = root.querySelector(".head");
+    this.body = root.querySelector(".rows");
     this.space = document.createElement("div");
     this.body.append(this.space);
-    root.append(this.head, this.body);
-    root.setAttribute("role", "table");
-    COLUMNS.forEach(([name], index) => {
+    COLUMNS.forEach(([name, unit, , , title], index) => {
+      const cell = document.createElement("span");
+      cell.setAttribute("role", "columnheader");
       const button = document.createElement("button");
-      button.textContent = name;
-      button.title = TITLES[name] ?? "";
+      const of = document.createElement("small");
+      of.textContent = unit;
+      button.append(name, of);
+      button.title = title;
       button.addEventListener("click", () => this.sortBy(index));
-      this.head.append(button);
+      cell.append(button);
+      this.head.append(cell);
     });
     this.body.addEventListener("scroll", () => this.draw());
     this.body.addEventListener("pointermove", (event) => this.report("hover", labelUnder(event)));
     this.body.addEventListener("pointerleave", () => this.report("leave", null));
     this.body.addEventListener("click", (event) => this.report("click", labelUnder(event)));
+    this.body.addEventListener("keydown", (event) => this.key(event));
+    this.body.addEventListener("blur", () => this.report("leave", null));
     new ResizeObserver(() => this.draw()).observe(this.body);
     this.sortBy(1);
   }
@@ -58,19 +52,39 @@ export class Table {
   sortBy(column) {
     const isSame = this.sort.column === column;
     this.sort = { column, down: isSame ? !this.sort.down : column === COLUMNS.length - 1 };
-    [...this.head.children].forEach((button, index) => {
-      button.dataset.sorted = index === column ? (this.sort.down ? "down" : "up") : "";
+    [...this.head.children].forEach((cell, index) => {
+      if (index === column) cell.setAttribute("aria-sort", this.sort.down ? "descending" : "ascending");
+      else cell.removeAttribute("aria-sort");
     });
     this.order();
   }
 
+  /** Goes through the rows; Enter is a click. */
+  key(event) {
+    const steps = { ArrowUp: -1, ArrowDown: 1, PageUp: -10, PageDown: 10, Home: -Infinity, End: Infinity };
+    if (!(event.key in steps) && event.key !== "Enter") return;
+    event.preventDefault();
+    event.stopPropagation();
+    if (event.key === "Enter") return this.report("click", this.marked === 0 ? null : this.marked);
+    const last = this.segments.length - 1;
+    if (last < 0) return;
+    const place = Math.min(last, Math.max(0, this.placeOf(this.marked) + steps[event.key]));
+    this.reveal(place);
+    this.report("hover", this.segments[place].label);
+  }
+
+  placeOf(label) {
+    return this.segments.findIndex((segment) => segment.label === label);
+  }
+
   show(segments) {
     this.segments = [...segments];
+    this.root.classList.toggle("empty", segments.length === 0);
     this.order();
   }
 
   order() {
-    const [, key] = COLUMNS[this.sort.column];
+    const [, , key] = COLUMNS[this.sort.column];
     const sign = this.sort.down ? -1 : 1;
     this.segments.sort((one, other) => sign * (key(one) - key(other)) || one.label - other.label);
     this.draw();
@@ -80,15 +94,16 @@ export class Table {
   mark(label, fromHere) {
     const isOther = label !== this.marked;
     this.marked = label;
-    const place = this.segments.findIndex((segment) => segment.label === label);
-    if (place >= 0 && isOther && !fromHere) {
-      const { scrollTop, clientHeight } = this.body;
-      const isAbove = place * ROW < scrollTop;
-      if (isAbove || (place + 1) * ROW > scrollTop + clientHeight) {
-        this.body.scrollTop = Math.max(0, place * ROW - clientHeight / 2);
-      }
-    }
+    const place = this.placeOf(label);
+    if (place >= 0 && isOther && !fromHere) this.reveal(place);
     this.draw();
+  }
+
+  /** Brings a row into sight. */
+  reveal(place) {
+    const { scrollTop, clientHeight } = this.body;
+    const isInSight = place * ROW >= scrollTop && (place + 1) * ROW <= scrollTop + clientHeight;
+    if (!isInSight) this.body.scrollTop = Math.max(0, place * ROW - clientHeight / 2);
   }
 
   draw() {
@@ -106,6 +121,7 @@ function newRow(body) {
   line.className = "row";
   line.setAttribute("role", "row");
   const cells = COLUMNS.map(() => document.createElement("span"));
+  for (const cell of cells) cell.setAttribute("role", "gridcell");
   const swatch = document.createElement("i");
   const number = document.createTextNode("");
   cells[0].append(swatch, number);
@@ -120,7 +136,8 @@ function fill(row, segment, place, marked) {
   row.line.style.transform = `translateY(${place * ROW}px)`;
   row.line.dataset.label = segment.label;
   row.line.classList.toggle("marked", segment.label === marked);
-  COLUMNS.forEach(([, key, text], index) => {
+  row.line.setAttribute("aria-selected", String(segment.label === marked));
+  COLUMNS.forEach(([, , key, text], index) => {
     const words = text(key(segment));
     if (row.texts[index] === words) return;
     row.texts[index] = words;

@@ -38,7 +38,7 @@ export class Timeline {
       if (event.buttons & 1) this.scrub(event);
       this.point(event);
     });
-    this.bar.addEventListener("pointerleave", () => (this.tip.hidden = true));
+    for (const end of ["pointerleave", "blur"]) this.bar.addEventListener(end, () => (this.tip.hidden = true));
     this.bar.addEventListener("keydown", (event) => {
       const steps = { ArrowLeft: -1, ArrowRight: 1, PageDown: -10, PageUp: 10, Home: -Infinity, End: Infinity };
       if (!(event.key in steps)) return;
@@ -107,14 +107,22 @@ export class Timeline {
 
   /** Says what is marked next to the pointer. */
   point(event) {
-    const index = this.under(event);
+    const { left } = this.bar.getBoundingClientRect();
+    this.tell(this.wordsOf(this.under(event)), event.clientX - left);
+  }
+
+  /** The place of a sweep, and what is marked there. */
+  wordsOf(index) {
     const reach = (this.sweeps / this.bar.clientWidth) * 5;
     const near = this.marks.filter((mark) => Math.abs(mark.sweep - index) <= Math.max(0.5, reach)).slice(0, 4);
-    this.tip.textContent = [`${index + 1} of ${this.sweeps}`, ...near.map((mark) => mark.text)].join(" · ");
+    return [`${index + 1} of ${this.sweeps}`, ...near.map((mark) => mark.text)].join(" · ");
+  }
+
+  tell(words, x) {
+    this.tip.textContent = words;
     this.tip.hidden = false;
-    const { left } = this.bar.getBoundingClientRect();
     const most = this.bar.clientWidth - this.tip.clientWidth;
-    this.tip.style.transform = `translateX(${Math.min(most, Math.max(0, event.clientX - left - this.tip.clientWidth / 2))}px)`;
+    this.tip.style.transform = `translateX(${Math.min(most, Math.max(0, x - this.tip.clientWidth / 2))}px)`;
   }
 
   draw() {
@@ -122,6 +130,7 @@ export class Timeline {
     this.words.textContent = sweeps === 0 ? `sweep ${sequence}` : `sweep ${sequence}, ${index + 1} of ${sweeps}`;
     bar.setAttribute("aria-valuemax", String(Math.max(0, sweeps - 1)));
     bar.setAttribute("aria-valuenow", String(index));
+    bar.setAttribute("aria-valuetext", this.wordsOf(index));
     const [width, height] = [bar.clientWidth, bar.clientHeight];
     if (width === 0) return;
     const ratio = window.devicePixelRatio;
@@ -131,6 +140,7 @@ export class Timeline {
     context.scale(ratio, ratio);
     const place = (sweep) => 6 + (sweep / Math.max(1, sweeps - 1)) * (width - 12);
     const middle = height / 2;
+    if (document.activeElement === bar && bar.matches(":focus-visible")) this.tell(this.wordsOf(index), place(index));
     context.fillStyle = palette.GRID;
     context.fillRect(6, middle - 2, width - 12, 4);
     context.fillStyle = palette.ACCENT;

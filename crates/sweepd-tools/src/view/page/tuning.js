@@ -4,7 +4,7 @@
 const STEPS = 1000;
 
 export class Tuning {
-  /** `send` takes what is to be done; `compare` is called with "before", "after" or "both". */
+  /** `send` takes what is to be done; `compare` is called when `mode` is another: "before", "after" or "both". */
   constructor(root, send, compare) {
     this.root = root;
     this.send = send;
@@ -81,6 +81,7 @@ export class Tuning {
     back.className = "quiet";
     back.textContent = "↺";
     back.title = "as it is now";
+    back.setAttribute("aria-label", `${name.textContent} as it is now`);
     line.append(name, slider, number, units, back);
     this.list.append(line);
     const now = setting.now ?? null;
@@ -151,7 +152,7 @@ export class Tuning {
   choose(mode) {
     this.mode = this.active ? mode : "before";
     this.settle();
-    this.compare(this.mode);
+    this.compare();
   }
 
   toggle() {

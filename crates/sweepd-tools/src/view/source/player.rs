@@ -26,6 +26,10 @@ const KEPT: usize = 16;
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 /// What a sweep may be late and still does not delay the next.
 const LATE: Duration = Duration::from_millis(50);
+/// How long the last sweep is seen before the first comes again.
+const LAST: Duration = Duration::from_millis(500);
+/// A capture of so few sweeps begins again by itself: it would be over before somebody looks.
+const SHORT: u64 = 100;
 /// Longest pause of a capture that is played as long, nanoseconds.
 const PAUSE_NS: i64 = 10_000_000_000;
 
@@ -170,11 +174,15 @@ impl Player {
                 self.is_at_end = true;
                 Duration::ZERO
             }
-            Found::Fewer(sweeps) => {
-                match self.is_endless && sweeps > 0 {
-                    true => self.wanted = Some(0),
-                    false => self.is_at_end = true,
+            Found::Fewer(sweeps) if sweeps > 1 && (self.is_endless || sweeps <= SHORT) => {
+                let rest = (self.due + LAST).saturating_duration_since(Instant::now());
+                if rest.is_zero() {
+                    self.wanted = Some(0);
                 }
+                rest.min(LOOK_EVERY)
+            }
+            Found::Fewer(_) => {
+                self.is_at_end = true;
                 Duration::ZERO
             }
             Found::Sweep(bytes) => {
