@@ -16,6 +16,7 @@ fn main() {
     for (name, is_there) in [
         ("captures", data.join("pcap").is_dir()),
         ("chromium", has("chromium")),
+        ("firefox", has("firefox-esr") && has("Xvfb")),
         (
             "foxglove",
             std::env::var_os("SWEEPD_NODE_MODULES").is_some(),

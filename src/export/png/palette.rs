@@ -89,7 +89,11 @@ impl RangeScale {
     pub fn color_at(position: f64) -> Rgb888 {
         let place = position * (Self::COLORS.len() - 1) as f64;
         let first = (place as usize).min(Self::COLORS.len() - 2);
-        mixed(Self::COLORS[first], Self::COLORS[first + 1], place - first as f64)
+        mixed(
+            Self::COLORS[first],
+            Self::COLORS[first + 1],
+            place - first as f64,
+        )
     }
 
     /// Colour of a range.

@@ -26,7 +26,7 @@ use crate::captures::{assert_same, fixture};
 use crate::common;
 use crate::page::{View, aligned};
 
-const SHOWN: &str = "window.sweepd?.frames > 0 && window.sweepd.sweeps > 0";
+pub const SHOWN: &str = "window.sweepd?.frames > 0 && window.sweepd.sweeps > 0";
 
 /// What a test that fails tells of the page.
 const STATE: &str = "(() => { const { index, tuned, points, selection, errors } = window.sweepd ?? {}; \
@@ -34,7 +34,7 @@ const STATE: &str = "(() => { const { index, tuned, points, selection, errors } 
     return `${words}; ${index} ${tuned} ${points} ${selection?.label} ${selection?.row} ${errors}`; })()";
 
 /// A tab of a browser of its own.
-struct Tab {
+pub struct Tab {
     process: Process,
     _folder: TempDir,
     stream: WebSocketStream<TcpStream>,
@@ -47,7 +47,7 @@ struct Tab {
 
 impl Tab {
     /// Opens an address.
-    fn open(address: &str) -> Self {
+    pub fn open(address: &str) -> Self {
         Self::open_with(address, &[])
     }
 
@@ -66,27 +66,7 @@ impl Tab {
             .stdout(Stdio::null());
         let process = Process::start(&mut command).unwrap();
         let (host, path) = devtools(folder.path());
-        let runtime = Builder::new_current_thread().enable_all().build().unwrap();
-        let request = format!("ws://{host}{path}").into_client_request().unwrap();
-        // A sweep as text has 20 MB.
-        let any_size = WebSocketConfig::default()
-            .max_message_size(None)
-            .max_frame_size(None);
-        let (stream, _) = runtime.block_on(async {
-            let stream = TcpStream::connect(&host).await.unwrap();
-            client_async_with_config(request, stream, Some(any_size))
-                .await
-                .unwrap()
-        });
-        let mut tab = Self {
-            process,
-            _folder: folder,
-            stream,
-            runtime,
-            session: None,
-            calls: 0,
-            errors: Vec::new(),
-        };
+        let mut tab = Self::connect(process, folder, &host, &path);
         let made = tab.call("Target.createTarget", json!({"url": "about:blank"}));
         let attached = tab.call(
             "Target.attachToTarget",
@@ -101,8 +81,33 @@ impl Tab {
         tab
     }
 
+    /// Takes hold of a browser with this folder, which is heard there.
+    pub fn connect(process: Process, folder: TempDir, host: &str, path: &str) -> Self {
+        let runtime = Builder::new_current_thread().enable_all().build().unwrap();
+        let request = format!("ws://{host}{path}").into_client_request().unwrap();
+        // A sweep as text has 20 MB.
+        let any_size = WebSocketConfig::default()
+            .max_message_size(None)
+            .max_frame_size(None);
+        let (stream, _) = runtime.block_on(async {
+            let stream = TcpStream::connect(host).await.unwrap();
+            client_async_with_config(request, stream, Some(any_size))
+                .await
+                .unwrap()
+        });
+        Self {
+            process,
+            _folder: folder,
+            stream,
+            runtime,
+            session: None,
+            calls: 0,
+            errors: Vec::new(),
+        }
+    }
+
     /// Calls a method of the protocol.
-    fn call(&mut self, method: &str, parameters: Value) -> Value {
+    pub fn call(&mut self, method: &str, parameters: Value) -> Value {
         self.calls += 1;
         let mut request = json!({"id": self.calls, "method": method, "params": parameters});
         if let Some(session) = &self.session {
@@ -128,7 +133,8 @@ impl Tab {
             }
             let is_error = message["method"] == "Runtime.exceptionThrown"
                 || message["params"]["entry"]["level"] == "error"
-                || message["params"]["type"] == "error";
+                || message["params"]["type"] == "error"
+                || message["params"]["level"] == "error";
             if is_error {
                 self.errors.push(message["params"].to_string());
             }
@@ -137,7 +143,7 @@ impl Tab {
     }
 
     /// The value of an expression on the page.
-    fn value(&mut self, expression: &str) -> Value {
+    pub fn value(&mut self, expression: &str) -> Value {
         let answer = self.call(
             "Runtime.evaluate",
             json!({"expression": expression, "returnByValue": true, "awaitPromise": true}),
@@ -147,21 +153,21 @@ impl Tab {
         answer["result"]["value"].clone()
     }
 
-    fn text(&mut self, expression: &str) -> String {
+    pub fn text(&mut self, expression: &str) -> String {
         let value = self.value(expression);
         let text = value.as_str();
         text.unwrap_or_else(|| panic!("{expression}: {value}"))
             .to_owned()
     }
 
-    fn number(&mut self, expression: &str) -> u64 {
+    pub fn number(&mut self, expression: &str) -> u64 {
         let value = self.value(expression);
         let number = value.as_u64();
         number.unwrap_or_else(|| panic!("{expression}: {value}"))
     }
 
     /// Waits until an expression is true on the page.
-    fn wait_for(&mut self, expression: &str) {
+    pub fn wait_for(&mut self, expression: &str) {
         let begun = Instant::now();
         while self.value(&format!("Boolean({expression})")) != true {
             if begun.elapsed() > PATIENCE {
@@ -231,7 +237,7 @@ impl Tab {
         }
     }
 
-    fn press(&mut self, key: &str) {
+    pub fn press(&mut self, key: &str) {
         for kind in ["keyDown", "keyUp"] {
             self.call(
                 "Input.dispatchKeyEvent",
@@ -240,17 +246,52 @@ impl Tab {
         }
     }
 
+    /// Presses a key that has a name.
+    pub fn press_named(&mut self, key: &str) {
+        let (code, text) = match key {
+            "Tab" => (9, ""),
+            "Enter" => (13, "\r"),
+            "Escape" => (27, ""),
+            "ArrowLeft" => (37, ""),
+            "ArrowUp" => (38, ""),
+            "ArrowRight" => (39, ""),
+            "ArrowDown" => (40, ""),
+            _ => panic!("{key}"),
+        };
+        let down = if text.is_empty() {
+            "rawKeyDown"
+        } else {
+            "keyDown"
+        };
+        for kind in [down, "keyUp"] {
+            self.call(
+                "Input.dispatchKeyEvent",
+                json!({"type": kind, "key": key, "text": if kind == down { text } else { "" },
+                       "windowsVirtualKeyCode": code}),
+            );
+        }
+    }
+
+    /// Makes the page as large, in pixels.
+    pub fn resize(&mut self, width: u32, height: u32) {
+        let frames = self.number("window.sweepd.frames");
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            json!({"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width.min(height) < 700}),
+        );
+        self.wait_for(&format!(
+            "innerWidth === {width} && innerHeight === {height} && window.sweepd.frames > {frames}"
+        ));
+    }
+
     /// Keeps a picture of the page.
-    fn picture(&mut self, name: &str) {
+    pub fn picture(&mut self, name: &str) {
         let taken = self.call("Page.captureScreenshot", json!({"format": "png"}));
-        let folder = target("pictures");
-        fs::create_dir_all(&folder).unwrap();
-        let png = from_base64(taken["data"].as_str().unwrap());
-        fs::write(folder.join(name).with_extension("png"), png).unwrap();
+        keep_picture(name, &taken);
     }
 
     /// Ends the browser, which must have had nothing to complain of.
-    fn close(mut self) {
+    pub fn close(mut self) {
         let errors = self.value("window.sweepd.errors.join()");
         assert_eq!((errors.as_str(), &self.errors[..]), (Some(""), &[][..]));
         self.session = None;
@@ -279,6 +320,14 @@ fn target(name: &str) -> PathBuf {
     Path::new(env!("CARGO_TARGET_TMPDIR"))
         .join("view")
         .join(name)
+}
+
+/// Keeps a picture that a browser took.
+pub fn keep_picture(name: &str, taken: &Value) {
+    let folder = target("pictures");
+    fs::create_dir_all(&folder).unwrap();
+    let png = from_base64(taken["data"].as_str().unwrap());
+    fs::write(folder.join(name).with_extension("png"), png).unwrap();
 }
 
 fn from_base64(text: &str) -> Vec<u8> {
@@ -387,6 +436,11 @@ fn what_is_saved_is_what_replay_writes() {
     let view = View::start(&[&capture]);
     let mut tab = Tab::open(&format!("http://{}/#sweep=2", view.host));
     tab.wait_for("window.sweepd.index === 1");
+    // It has two returns.
+    assert_eq!(
+        tab.value("document.querySelector('#second').hidden"),
+        Value::Bool(false)
+    );
     tab.save_into(&saved);
     for kind in ["csv", "pcd"] {
         let name = format!("sweep_000002.{kind}");
@@ -494,7 +548,7 @@ fn fingers_turn_and_zoom() {
 }
 
 /// The place of the page that is here over an element.
-fn over(element: &str, here: &str) -> String {
+pub fn over(element: &str, here: &str) -> String {
     format!(
         "(() => {{ const {{ left, top }} = document.querySelector('{element}').getBoundingClientRect(); \
          const [x, y] = {here}; return [left + x, top + y]; }})()"
@@ -607,10 +661,12 @@ fn keys_time_line_and_sliders_do_what_they_say() {
     tab.wait_for("location.hash === '#sweep=3'");
     tab.press(",");
     tab.wait_for("window.sweepd.index === 1 && location.hash === '#sweep=2'");
-    // It plays from there to the end.
+    // It plays from there to the end, and begins again.
     tab.press(" ");
-    tab.wait_for("document.querySelector('#state').textContent.includes('end')");
-    tab.wait_for("location.hash !== '#sweep=2'");
+    tab.wait_for("window.sweepd.index === 3");
+    tab.wait_for("window.sweepd.index === 0");
+    tab.press(" ");
+    tab.wait_for("document.querySelector('#state').textContent === 'paused'");
     tab.value("location.hash = '#sweep=2'");
     tab.wait_for("window.sweepd.index === 1 && !window.sweepd.tuned");
 
@@ -666,6 +722,41 @@ fn keys_time_line_and_sliders_do_what_they_say() {
     assert!(lines.starts_with("[sensor.segment]"), "{lines}");
     tab.value("document.querySelector('[data-part=reset]').click()");
     tab.wait_for(&format!("!window.sweepd.tuned && {segments} === {before}"));
+    tab.close();
+}
+
+/// While it plays: all that is drawn is of one sweep, and "after" never has the labels of "before".
+#[test]
+#[cfg_attr(without_chromium, ignore = "no chromium")]
+fn points_and_labels_are_of_one_moment() {
+    let view = View::start(&["--simulate", "vlp16"]);
+    let mut tab = Tab::open(&format!("http://{}/", view.host));
+    // Small segments are there after the tuning alone.
+    tab.value(
+        "window.seen = 0; window.wrong = []; \
+         const { page } = window.sweepd; const row = page.tuning.rows.get('min_points'); \
+         const least = (sweep) => Math.min(...sweep.segments.map((segment) => segment.points)); \
+         const draw = page.cloud.draw.bind(page.cloud); \
+         page.cloud.draw = () => { const isDrawn = draw(); if (isDrawn && window.watches) { \
+           const { shown, sides } = page.cloud; const strips = page.images.strips; \
+           const all = [...shown.map((side) => sides[side].sweep), ...strips.map((strip) => strip.sweep), page.shown]; \
+           const numbers = new Set(all.map((sweep) => sweep.header.sequence)).add(window.sweepd.sequence); \
+           const after = [...strips.filter((strip) => strip.side === 1).map((strip) => strip.sweep), page.shown]; \
+           const isRight = new Set([...numbers].map(Number)).size === 1 && \
+             after.every((sweep) => least(sweep) < row.setting.default) && \
+             page.table.segments.length === page.shown.segments.length; \
+           window.seen++; if (!isRight) window.wrong.push([...numbers, ...after.map(least)].join()); \
+         } return isDrawn; }; \
+         row.slider.value = row.slider.min; row.slider.dispatchEvent(new Event('input'));",
+    );
+    tab.wait_for("window.sweepd.tuned");
+    for mode in ["after", "both"] {
+        tab.value(&format!(
+            "document.querySelector('[data-compare={mode}]').click(); window.watches = true; window.seen = 0"
+        ));
+        tab.wait_for("window.seen > 20");
+        assert_eq!(tab.text("window.wrong.join(' ')"), "", "{mode}");
+    }
     tab.close();
 }
 

@@ -173,7 +173,10 @@ fn a_short_capture_is_played_again_and_again_paused_and_stepped_through() {
     }
     let begun = Instant::now();
     assert_eq!(page.draw_until(|_| true).index(), 0);
-    assert!(begun.elapsed() > Duration::from_millis(200), "the last is seen");
+    assert!(
+        begun.elapsed() > Duration::from_millis(200),
+        "the last is seen"
+    );
     page.ask(json!({ "do": "seek", "index": u64::MAX }));
     page.draw_until(|shown| shown.index() == count - 1);
     let state = page.words("the end");

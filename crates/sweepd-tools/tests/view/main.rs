@@ -2,10 +2,16 @@
 //! the tests publish.
 
 #[cfg(feature = "slow-tests")]
+mod access;
+#[cfg(feature = "slow-tests")]
 mod browser;
 mod captures;
+#[cfg(feature = "slow-tests")]
+mod colours;
 #[path = "../../../../tests/common/mod.rs"]
 mod common;
+#[cfg(feature = "slow-tests")]
+mod firefox;
 mod foxglove;
 mod hostile;
 mod live;
