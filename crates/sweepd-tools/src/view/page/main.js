@@ -412,7 +412,7 @@ class Page {
         const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
         if (by === undefined) return;
         event.stopPropagation();
-        const next = tabs.at((index + by) % tabs.length);
+        const next = tabs[(index + by + tabs.length) % tabs.length];
         next.focus();
         next.click();
       });
