@@ -65,7 +65,7 @@ pub struct Args {
     #[arg(long)]
     no_open: bool,
     /// At the end of a capture, begin again; a simulation, and a capture of at most 100 sweeps, always
-    /// does
+    /// do
     #[arg(long = "loop")]
     is_endless: bool,
     #[command(flatten)]
