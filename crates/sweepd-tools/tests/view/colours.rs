@@ -134,6 +134,14 @@ fn of_page(tab: &mut Tab, expression: &str) -> Vec<Rgb> {
     colours.collect()
 }
 
+fn scale_of_page(tab: &mut Tab, name: &str) -> Vec<Rgb> {
+    let places = "[...Array(9).keys()].map((eighth) => eighth / 8)";
+    of_page(
+        tab,
+        &format!("{places}.map((place) => palette.at(palette.{name}, place))"),
+    )
+}
+
 #[test]
 #[cfg_attr(without_chromium, ignore = "no chromium")]
 fn the_page_has_the_colours_of_pictures_and_texts_that_can_be_read() {
@@ -144,15 +152,7 @@ fn the_page_has_the_colours_of_pictures_and_texts_that_can_be_read() {
         "Array.from({ length: 100 }, (_, label) => palette.label(label))",
     );
     assert_eq!(labels, (0..100).map(palette::label).collect::<Vec<_>>());
-    let scale = |tab: &mut Tab, name: &str| {
-        of_page(
-            tab,
-            &format!(
-                "[...Array(9).keys()].map((eighth) => palette.at(palette.{name}, eighth / 8))"
-            ),
-        )
-    };
-    let ranges = scale(&mut tab, "RANGE");
+    let ranges = scale_of_page(&mut tab, "RANGE");
     for (place, colour) in eighths().zip(&ranges) {
         let picture = RangeScale::color_at(place);
         let picture = [picture.r(), picture.g(), picture.b()];
@@ -160,7 +160,7 @@ fn the_page_has_the_colours_of_pictures_and_texts_that_can_be_read() {
         assert!(apart(picture, *colour, &EYES[0]) < 0.005, "{place}");
     }
     assert_ordered(&ranges, "ranges");
-    assert_ordered(&scale(&mut tab, "LOW_TO_HIGH"), "heights");
+    assert_ordered(&scale_of_page(&mut tab, "LOW_TO_HIGH"), "heights");
     let texts = of_page(
         &mut tab,
         "[palette.TEXT, palette.DIM, palette.WARNING, palette.ACCENT].map((text) => \
