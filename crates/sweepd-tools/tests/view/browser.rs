@@ -26,7 +26,7 @@ use crate::captures::{assert_same, fixture};
 use crate::common;
 use crate::page::{View, aligned};
 
-pub const SHOWN: &str = "window.sweepd?.frames > 0 && window.sweepd.sweeps > 0";
+pub const SHOWN: &str = "window.sweepd?.frames > 0 && window.sweepd.points > 0";
 
 /// What a test that fails tells of the page.
 const STATE: &str = "(() => { const { index, tuned, points, selection, errors } = window.sweepd ?? {}; \

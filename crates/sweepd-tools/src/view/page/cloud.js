@@ -137,11 +137,12 @@ export class CloudView {
     this.touch();
   }
 
-  /** Fits a camera that nobody moved to the points, where it does not fit this view of them yet. */
+  /** Fits the camera to the first points; later, where nobody moved it, to another shape of the view. */
   fit() {
     const { camera } = this;
     const { width, height } = this.area(0);
-    if (height > 0 && !camera.held && camera.aspect !== width / height) camera.fit(this.last.points, width / height);
+    const isMine = camera.held && camera.aspect !== null;
+    if (height > 0 && !isMine && camera.aspect !== width / height) camera.fit(this.last.points, width / height);
   }
 
   /** The side that is shown last. */

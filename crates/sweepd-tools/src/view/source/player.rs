@@ -174,7 +174,7 @@ impl Player {
                 self.is_at_end = true;
                 Duration::ZERO
             }
-            Found::Fewer(sweeps) if sweeps > 1 && (self.is_endless || sweeps <= SHORT) => {
+            Found::Fewer(sweeps) if self.begins_again(sweeps) => {
                 let rest = (self.due + LAST).saturating_duration_since(Instant::now());
                 if rest.is_zero() {
                     self.wanted = Some(0);
@@ -206,6 +206,17 @@ impl Player {
                 Duration::ZERO
             }
         }
+    }
+
+    /// Whether a capture of so many sweeps does at its end. What is broken stays where it broke.
+    fn begins_again(&self, sweeps: u64) -> bool {
+        sweeps > 1 && (self.is_endless || sweeps <= SHORT && self.trouble().is_none())
+    }
+
+    /// What is wrong with the capture.
+    fn trouble(&self) -> Option<String> {
+        let trouble = self.reader.as_ref().and_then(Reader::trouble);
+        self.lost.clone().or(trouble)
     }
 
     fn obey(&mut self, command: Command) {
@@ -369,8 +380,7 @@ impl Player {
 
     /// Says how it is.
     fn tell(&self) {
-        let trouble = self.reader.as_ref().and_then(Reader::trouble);
-        let trouble = self.lost.clone().or(trouble);
+        let trouble = self.trouble();
         let words = match (&trouble, self.shown, self.wanted) {
             (Some(trouble), None, _) => trouble.clone(),
             (Some(trouble), Some(_), _) => format!("{trouble}; what came before can be looked at"),
