@@ -4,12 +4,15 @@
 With --objects before NAME, a line for each object while the head turns. Needs the Python package: pip install sweepd-*.whl
 """
 
+import os
 import sys
 import time
 
 import sweepd
 from sweepd.layout import WHY_WIDE
 
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
 is_objects = sys.argv[1] == "--objects"
 name, *root = sys.argv[1 + is_objects :]
 sensor = sweepd.Client(name, *root)
@@ -32,3 +35,6 @@ try:
         del sweep
 except KeyboardInterrupt:
     pass
+except BrokenPipeError:
+    # The reader had enough. At its end, Python would write what is left once more.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

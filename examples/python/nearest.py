@@ -7,6 +7,7 @@ more. What one row alone strikes can be ground, and so can a low thing that is d
 steps down are no objects. `cargo run --release --example obstacles` prints what is seen by sensor, height and distance.
 """
 
+import os
 import sys
 
 import numpy as np
@@ -35,3 +36,6 @@ try:
             print(f"{sweep.sequence}: {x:.2f} m right, {y:.2f} m ahead, {z:.2f} m up", flush=True)
 except KeyboardInterrupt:
     pass
+except BrokenPipeError:
+    # The reader had enough. At its end, Python would write what is left once more.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -12,6 +12,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::options::{ConfigOptions, Listening, SensorChoice, within};
+use super::stream::{print_json, printed};
 use super::{CliError, complain};
 use crate::beams;
 use crate::daemon::config::Config;
@@ -173,12 +174,16 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     })?;
     let findings = diagnose(&seen);
     let well = !findings.iter().any(Finding::is_trouble);
-    let printed = if args.json {
-        print_json(&seen, &findings, well)
+    if args.json {
+        print_json(&JsonReport {
+            well,
+            seconds: seen.seconds,
+            sensors: sensor_reports(&seen),
+            findings: &findings,
+        })?;
     } else {
-        print(&seen, &findings)
-    };
-    printed.map_err(CliError::Stdout)?;
+        printed(print(&seen, &findings))?;
+    }
     if well {
         Ok(())
     } else {
@@ -194,22 +199,6 @@ fn print_ports(ports: &[u16], how_long: impl Display) {
         let numbers = numbers.join(", ");
         let _ = writeln!(io::stderr(), "listening on port {numbers} for {how_long}");
     }
-}
-
-fn print_json(seen: &Observations, findings: &[Finding], well: bool) -> io::Result<()> {
-    let report = JsonReport {
-        well,
-        seconds: seen.seconds,
-        sensors: sensor_reports(seen),
-        findings,
-    };
-    write_json(&report)
-}
-
-fn write_json(report: &impl Serialize) -> io::Result<()> {
-    let mut stdout = io::stdout().lock();
-    serde_json::to_writer_pretty(&mut stdout, report)?;
-    stdout.write_all(b"\n")
 }
 
 fn print(seen: &Observations, findings: &[Finding]) -> io::Result<()> {

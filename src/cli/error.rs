@@ -8,7 +8,7 @@ use std::sync::Arc;
 use crate::daemon::DaemonError;
 use crate::daemon::config::ConfigError;
 use crate::daemon::record::client::RemoteRecordError;
-use crate::files::{self, CalibrationFileError, WriteError};
+use crate::files::{self, CalibrationFileError, MaskFileError, WriteError};
 use crate::input::{Capture, CaptureError, UdpError};
 use crate::publish::PublishError;
 use crate::text::visible;
@@ -25,6 +25,9 @@ pub enum CliError {
     /// The calibration cannot be read.
     #[error(transparent)]
     Calibration(#[from] CalibrationFileError),
+    /// The picture of a mask cannot be read.
+    #[error(transparent)]
+    Mask(#[from] MaskFileError),
     /// The configuration cannot be read or is invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
@@ -65,6 +68,12 @@ pub enum CliError {
     /// Options that contradict each other, or an invalid value.
     #[error("{0}")]
     Usage(String),
+    /// What was to be read is not there.
+    #[error("{0}")]
+    NoInput(String),
+    /// What was asked for cannot be had.
+    #[error("{0}")]
+    Failed(String),
     /// A sensor's web interface does not answer, or does not do what it is asked.
     #[error("{0}")]
     Sensor(String),
@@ -90,13 +99,80 @@ impl From<WriteError> for CliError {
     }
 }
 
-impl CliError {
-    /// Exit code of the program: 78 (EX_CONFIG of sysexits.h) if only another configuration would
-    /// help, so that a supervisor need not retry; else 1.
-    pub fn exit_code(&self) -> u8 {
+/// Exit codes of all programs; those above 2 are of sysexits.h.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Exit {
+    /// Also where the reader of standard output had enough.
+    Done = 0,
+    /// All that has no code of its own.
+    Failed = 1,
+    /// clap's.
+    Usage = 2,
+    /// EX_NOINPUT.
+    NoInput = 66,
+    /// EX_CONFIG: only another configuration helps, so that a supervisor need not retry.
+    Config = 78,
+}
+
+impl Exit {
+    const ALL: [Self; 5] = [
+        Self::Done,
+        Self::Failed,
+        Self::Usage,
+        Self::NoInput,
+        Self::Config,
+    ];
+
+    /// What it means.
+    fn meaning(self) -> &'static str {
         match self {
-            Self::Config(ConfigError::Invalid(_)) => 78,
-            _ => 1,
+            Self::Done => "done, or the reader of standard output had enough (`| head`)",
+            Self::Failed => "failed, or something is wrong: standard error says what",
+            Self::Usage => "wrong options or arguments",
+            Self::NoInput => "a file that was given is not there, or cannot be read",
+            Self::Config => "the configuration cannot be meant: correct it, and start again",
+        }
+    }
+
+    /// All of them, a line each.
+    pub fn table() -> String {
+        let lines = Self::ALL.map(|exit| format!("  {:<4}{}", exit as u8, exit.meaning()));
+        format!("Exit codes:\n{}", lines.join("\n"))
+    }
+}
+
+impl CliError {
+    /// Exit code of the program.
+    pub fn exit(&self) -> Exit {
+        match self {
+            Self::Stdout(cause) if cause.kind() == io::ErrorKind::BrokenPipe => Exit::Done,
+            Self::Usage(_) => Exit::Usage,
+            Self::Config(ConfigError::Invalid(_)) => Exit::Config,
+            Self::NoInput(_) => Exit::NoInput,
+            _ if self.unread().is_some() => Exit::NoInput,
+            _ => Exit::Failed,
+        }
+    }
+
+    /// Why a file that was given cannot be read.
+    fn unread(&self) -> Option<&io::Error> {
+        match self {
+            Self::Capture(CaptureError::Open { source, .. })
+            | Self::Calibration(CalibrationFileError::Io { source, .. })
+            | Self::Config(ConfigError::Read { source, .. })
+            | Self::Mask(MaskFileError::Io { source, .. })
+            | Self::Read { source, .. } => Some(source),
+            _ => None,
+        }
+    }
+
+    /// What to do about a file that cannot be read, to follow the error.
+    fn cure(&self) -> &'static str {
+        match self.unread().map(io::Error::kind) {
+            Some(io::ErrorKind::NotFound) => "; check the path",
+            Some(io::ErrorKind::IsADirectory) => "; give a file in it",
+            Some(io::ErrorKind::PermissionDenied) => "; allow this user to read it",
+            _ => "",
         }
     }
 }
@@ -110,8 +186,8 @@ pub(super) fn report(error: &CliError) {
         CliError::Config(ConfigError::Invalid(problems)) => {
             let _ = writeln!(io::stderr(), "{problems}");
         }
-        CliError::Stdout(cause) if cause.kind() == io::ErrorKind::BrokenPipe => {}
-        _ => complain("error", error),
+        _ if error.exit() == Exit::Done => {}
+        _ => complain("error", format_args!("{error}{}", error.cure())),
     }
 }
 

@@ -223,7 +223,7 @@ mod tests {
     fn nothing_is_written_behind_an_error() {
         for count in 1..5 {
             for is_of_write in [true, false] {
-                let full = || CliError::Usage("full".to_owned());
+                let full = || CliError::Failed("full".to_owned());
                 let mut items = 0..ITEMS;
                 let take = |_| match next(&mut items)? {
                     Some(50) if !is_of_write => Err(full()),

@@ -1,11 +1,11 @@
 //! `sweepd mask`: a picture of the robot's own body, from a capture of the robot at rest.
 
-use std::io::{self, Write as _};
 use std::path::PathBuf;
 
 use super::options::{SegmentOptions, SensorOptions, within};
 use super::output::ForceOptions;
 use super::sections::Sections;
+use super::stream::print;
 use super::{CliError, complain, warn_of};
 use crate::cure::{Dialect, explain};
 use crate::files;
@@ -73,7 +73,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<(), CliError> {
     let existing = args.force.existing();
     output::check(&args.out, existing)?;
-    let refused = |why: String| CliError::Usage(format!("{}: {why}", args.capture.display()));
+    let refused = |why: String| CliError::Failed(format!("{}: {why}", args.capture.display()));
     let views = read(args)?;
     views.check().map_err(refused)?;
     let body = views.body(args.within as f32);
@@ -92,7 +92,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     output::write(&args.out, &picture, existing)?;
     warn(&body);
     let out = args.out.display();
-    writeln!(io::stdout(), "{out}: {}", describe(&body)).map_err(CliError::Stdout)
+    print(format!("{out}: {}\n", describe(&body)))
 }
 
 /// What the sensor saw.
@@ -114,7 +114,7 @@ fn read(args: &Args) -> Result<Views, CliError> {
     streams.end();
     warn_of(&capture, "");
     let views = sections.only_one(streams);
-    views.map_err(|why| CliError::Usage(format!("{}: {why}", capture.name())))
+    views.map_err(|why| CliError::Failed(format!("{}: {why}", capture.name())))
 }
 
 /// The nearest returns of a sensor, sweep by sweep.
@@ -157,7 +157,7 @@ impl Views {
         };
         let floor = FloorFinder::new(config.segment.mount);
         let pipeline = Pipeline::with_options("", config, options)
-            .map_err(|error| CliError::Usage(error.to_string()))?;
+            .map_err(|error| CliError::Failed(error.to_string()))?;
         Ok(Self {
             pipeline,
             memory: Memory::default(),

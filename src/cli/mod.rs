@@ -39,14 +39,16 @@ use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
 use error::report;
-pub use error::{CliError, complain, warn_of, warn_of_times};
+pub use error::{CliError, Exit, complain, warn_of, warn_of_times};
 
 /// Turns the packets of a spinning Velodyne into range images, cut into ground and numbered objects
 #[derive(Debug, Parser)]
 #[command(name = "sweepd", version = crate::VERSION, about, long_about = None, max_term_width = 100)]
-#[command(after_help = "\
+#[command(after_help = format!("\
+{}
+
 Example:
-  sweepd replay pcap_fixtures/street_vlp16.pcap.gz --png out")]
+  sweepd replay pcap_fixtures/street_vlp16.pcap.gz --png out", Exit::table()))]
 pub struct Cli {
     /// What to do.
     #[command(subcommand)]
@@ -102,7 +104,7 @@ pub fn exit(done: Result<(), CliError>) -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             report(&error);
-            ExitCode::from(error.exit_code())
+            ExitCode::from(error.exit() as u8)
         }
     }
 }

@@ -360,8 +360,7 @@ impl SegmentOptions {
             };
         }
         if let Some(path) = &self.mask {
-            let mask = files::mask(path).map_err(|error| CliError::Usage(error.to_string()))?;
-            to.mask = Some(mask);
+            to.mask = Some(files::mask(path)?);
         }
         for &(setting, value) in &self.numbers.given {
             setting.set(to, value);

@@ -93,7 +93,7 @@ impl OutputOptions {
     }
 
     /// The folders and files that it writes, without standard output.
-    fn places(&self) -> Vec<PathBuf> {
+    pub fn places(&self) -> Vec<PathBuf> {
         let places = [
             &self.csv,
             &self.pcd,

@@ -16,6 +16,7 @@ pub use args::Args;
 use std::io::{self, BufWriter};
 
 use super::signals::end_flag;
+use super::stream::printed;
 use super::{CliError, complain};
 
 /// Runs the command.
@@ -35,9 +36,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         (_, _, Some(path)) => local::record(args, path, over)?,
         (_, _, None) => return Err(CliError::Usage("give a file with --output".to_owned())),
     };
-    report
-        .print(&mut BufWriter::new(io::stdout().lock()))
-        .map_err(CliError::Stdout)?;
+    printed(report.print(&mut BufWriter::new(io::stdout().lock())))?;
     // After an error, warnings would repeat it.
     if ended.is_ok() {
         for warning in report.warnings() {

@@ -15,6 +15,7 @@ use self::summary::{SensorReport, SummaryLine, Sums};
 use self::sweeps::{Finisher, Writer};
 use self::track::Setup;
 use super::output::{Outputs, tell_written};
+use super::stream::{ended, printed};
 use super::{CliError, jobs};
 use crate::input::{Capture, CaptureError};
 use crate::streams::Streams;
@@ -27,6 +28,10 @@ pub use args::Args;
 /// [`CliError`]: what stopped it, or what it could not decode.
 pub fn run(args: &Args) -> Result<(), CliError> {
     args.check()?;
+    play(args).map_err(|error| ended(error, &args.files()))
+}
+
+fn play(args: &Args) -> Result<(), CliError> {
     let mut replay = Replay::new(args)?;
     for played in 1.. {
         let mut capture = progress::open(args, &replay.playback.setup.progress)?;
@@ -125,8 +130,8 @@ impl<'a> Replay<'a> {
         let written: Vec<String> = outputs.finish()?.into_iter().chain(piece).collect();
         let written = (!written.is_empty()).then(|| written.join("; "));
         if !args.is_piped() {
-            summary::print(other_traffic, &reports, written.as_deref(), timing)
-                .map_err(CliError::Stdout)?;
+            let written = written.as_deref();
+            printed(summary::print(other_traffic, &reports, written, timing))?;
         } else {
             tell_written(written);
         }

@@ -100,7 +100,7 @@ pub fn run(args: &Args, hangup: &AtomicBool) -> Result<(), CliError> {
     // The folder is made here, since it also holds the control socket.
     domain
         .prepare()
-        .map_err(|error| CliError::Usage(error.to_string()))?;
+        .map_err(|error| CliError::Failed(error.to_string()))?;
     Ok(control::run(
         config,
         &Keeper::new(&domain)?,
@@ -172,7 +172,11 @@ fn log(level: Option<tracing::Level>) -> Result<(), CliError> {
         lines.finish().with(filter).init();
     } else {
         let lines = lines.compact().with_target(false);
-        let lines = lines.with_ansi(std::io::stderr().is_terminal());
+        // Unless it is said, the variable NO_COLOR decides.
+        let lines = match std::io::stderr().is_terminal() {
+            true => lines,
+            false => lines.with_ansi(false),
+        };
         lines.finish().with(filter).init();
     }
     Ok(())

@@ -1,11 +1,58 @@
-//! One file for what all sweeps give: under its name, or standard output.
+//! Standard output, and one file for what all sweeps give: under its name, or there.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Stdout, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use super::CliError;
+use serde::Serialize;
+
+use super::{CliError, Exit};
 use crate::files::output::{Existing, NewFile};
+
+/// Prints all that a command says. A reader that has had enough does not change what the command does next.
+///
+/// # Errors
+/// [`CliError::Stdout`]: the disk below is full, for example.
+pub fn print(text: impl AsRef<[u8]>) -> Result<(), CliError> {
+    let mut out = io::stdout().lock();
+    printed(out.write_all(text.as_ref()).and_then(|()| out.flush()))
+}
+
+/// What came of printing all that a command says.
+///
+/// # Errors
+/// As [`print`].
+pub fn printed(done: io::Result<()>) -> Result<(), CliError> {
+    match done {
+        Err(cause) if cause.kind() != io::ErrorKind::BrokenPipe => Err(CliError::Stdout(cause)),
+        _ => Ok(()),
+    }
+}
+
+/// What the error is that ended the work. A reader who had enough of standard output ends it well, unless
+/// `files` are written beside it.
+pub fn ended(error: CliError, files: &[PathBuf]) -> CliError {
+    if error.exit() != Exit::Done || files.is_empty() {
+        return error;
+    }
+    let files: Vec<String> = files
+        .iter()
+        .map(|path| path.display().to_string())
+        .collect();
+    let files = files.join(", ");
+    CliError::Failed(format!(
+        "standard output was closed before the end: what was written to {files} is not complete"
+    ))
+}
+
+/// Prints one JSON object.
+///
+/// # Errors
+/// As [`print`].
+pub fn print_json(object: &impl Serialize) -> Result<(), CliError> {
+    let text = serde_json::to_string_pretty(object);
+    print(text.map_err(|error| CliError::Stdout(error.into()))? + "\n")
+}
 
 /// A file under way.
 pub enum Stream {

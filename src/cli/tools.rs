@@ -76,10 +76,10 @@ impl Tool {
     /// Becomes the program: its output, signals and exit status are those of this process.
     ///
     /// # Errors
-    /// [`CliError::Usage`]: it is not there, or cannot be started.
+    /// [`CliError::Failed`]: it is not there, or cannot be started.
     pub fn run(&self, args: &[OsString]) -> Result<Infallible, CliError> {
         let Some(program) = tool::find(self.program) else {
-            return Err(CliError::Usage(format!(
+            return Err(CliError::Failed(format!(
                 "`sweepd {}` is a program of its own, {}",
                 self.name,
                 tool::missing(self.program)
@@ -94,7 +94,7 @@ impl Tool {
             .arg0(own_name)
             .args(args)
             .exec();
-        Err(CliError::Usage(format!(
+        Err(CliError::Failed(format!(
             "cannot start {}: {error}; install the package sweepd-tools again",
             program.display()
         )))

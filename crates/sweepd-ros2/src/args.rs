@@ -27,6 +27,13 @@ ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY and ROS_STATIC_
 What a launch file adds is taken: --ros-args with -r __node:=NAME, -r __ns:=/NAMESPACE, \
 -r TOPIC:=TOPIC, --params-file FILE, -p NAME:=VALUE.
 
+Exit codes:
+  0   done
+  1   failed: standard error says what
+  2   wrong options or arguments
+  66  a file of parameters is not there, or cannot be read
+  78  parameters or an environment that cannot be meant: correct them, and start again
+
 Examples:
   sweepd-ros2                           all sensors
   sweepd-ros2 roof --parameters ros2.yaml

@@ -39,7 +39,7 @@ use crate::bridge::{Bridge, Seen, Topic};
 use crate::health::Diagnostics;
 use crate::names::{NodeName, Remap, token};
 use crate::odometry::Odometry;
-use crate::parameters::Parameters;
+use crate::parameters::{ParameterError, Parameters};
 use crate::ros_args::RosArgs;
 use crate::services::Services;
 use crate::transforms::Transforms;
@@ -58,7 +58,9 @@ const DIAGNOSTICS: &str = "/diagnostics";
 const TF_STATIC: &str = "/tf_static";
 const CLOCK: &str = "/clock";
 
-/// Exit code where only other parameters help, so that a supervisor need not retry (sysexits.h).
+/// Exit code where a file that was given cannot be read (sysexits.h).
+const EX_NOINPUT: u8 = 66;
+/// Exit code where only other parameters help, so that a supervisor need not retry.
 const EX_CONFIG: u8 = 78;
 
 /// Why the program ends, and its exit code.
@@ -84,7 +86,7 @@ fn main() -> ExitCode {
 /// Returns the exit code; an error after the node was there is told by then.
 fn run(args: &Args, ros: &RosArgs) -> Result<ExitCode, Failure> {
     let name = NodeName::remapped(&args.namespace, &args.node, &ros.remaps);
-    let parameters = Parameters::of_command_line(args, ros, &name).map_err(Failure::config)?;
+    let parameters = Parameters::of_command_line(args, ros, &name)?;
     for ignored in &parameters.ignored {
         log::warn(format_args!("{ignored}"));
     }
@@ -162,6 +164,18 @@ impl Failure {
         Self {
             what: format!("cannot {what}: {error}"),
             code: 1,
+        }
+    }
+}
+
+impl From<ParameterError> for Failure {
+    fn from(error: ParameterError) -> Self {
+        Self {
+            what: error.to_string(),
+            code: match error.is_unread {
+                true => EX_NOINPUT,
+                false => EX_CONFIG,
+            },
         }
     }
 }

@@ -189,6 +189,7 @@ impl Parameters {
             return Err(ParameterError {
                 place: "`deskew: tf` with an empty `base_frame`".to_owned(),
                 what: "it needs the name of the robot's frame in /tf, as `base_link`".to_owned(),
+                is_unread: false,
             });
         }
         Ok(())
@@ -297,7 +298,8 @@ impl Parameters {
             Ok(text) => self.parse(&text, &place, node),
             Err(error) => Err(ParameterError {
                 place,
-                what: format!("cannot be read: {error}"),
+                what: format!("cannot be read: {error}; check the path"),
+                is_unread: true,
             }),
         }
     }
@@ -359,6 +361,7 @@ impl Parameters {
                     let error = ParameterError {
                         place: place(file, value.referenced),
                         what: format!("`{name}`: {what}"),
+                        is_unread: false,
                     };
                     let Some((sensor, _)) = name.rsplit_once('.') else {
                         return Err(error);

@@ -38,7 +38,7 @@ fn what_is_wrong_is_one_line_and_an_exit_code() {
         (
             "140",
             &["--params-file", "/none.yaml"],
-            78,
+            66,
             "/none.yaml: cannot be read",
         ),
         (

@@ -7,10 +7,11 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
-use super::{Args, print_findings, print_ports, write_json};
+use super::{Args, print_findings, print_ports};
 use crate::admission::Sender;
 use crate::cli::options::SensorChoice;
 use crate::cli::sections::Sections;
+use crate::cli::stream::{print_json, printed};
 use crate::cli::{CliError, complain, warn_of};
 use crate::cure::{Dialect, explain};
 use crate::doctor::obstacle::{ENOUGH_PERCENT, Obstacle, Report, SWEEPS, Seen, Trial};
@@ -47,16 +48,15 @@ struct JsonReport<'a> {
 pub(super) fn run(args: &Args, obstacle: Obstacle, plan: &Plan) -> Result<(), CliError> {
     let (sensor, trial) = try_out(args, obstacle, plan)?;
     let (report, findings) = (trial.report(), trial.findings());
-    let printed = match args.json {
-        true => write_json(&JsonReport {
+    match args.json {
+        true => print_json(&JsonReport {
             well: report.is_well(),
             sensor: &sensor,
             report: &report,
             findings: &findings,
         }),
-        false => print(&sensor, &report, &findings),
-    };
-    printed.map_err(CliError::Stdout)?;
+        false => printed(print(&sensor, &report, &findings)),
+    }?;
     match report.is_well() {
         true => Ok(()),
         false => Err(CliError::Reported),
@@ -73,7 +73,7 @@ fn try_out(args: &Args, obstacle: Obstacle, plan: &Plan) -> Result<(String, Tria
         let trial = Trial::new(obstacle, None);
         let shared = from_daemon(args, Some(name), trial, plan)?;
         return shared.ok_or_else(|| {
-            CliError::Usage(format!(
+            CliError::Failed(format!(
                 "no running daemon shares `{name}`: give the sensor's address, or --config FILE"
             ))
         });
@@ -109,13 +109,13 @@ fn from_packets(
     }
     streams.end();
     if is_live && streams.all.is_empty() {
-        return Err(CliError::Usage(
+        return Err(CliError::Failed(
             "no sensor sends data packets; `sweepd doctor` without --obstacle says why".to_owned(),
         ));
     }
-    let tried = sections.only_one(streams).map_err(CliError::Usage)?;
+    let tried = sections.only_one(streams).map_err(CliError::Failed)?;
     match tried.fault {
-        Some(fault) => Err(CliError::Usage(format!("{}: {fault}", tried.name))),
+        Some(fault) => Err(CliError::Failed(format!("{}: {fault}", tried.name))),
         None => Ok((tried.name, tried.trial)),
     }
 }
@@ -220,7 +220,7 @@ fn from_daemon(
 }
 
 fn unreadable(error: LayoutError) -> CliError {
-    CliError::Usage(format!("the daemon sent what cannot be read: {error}"))
+    CliError::Failed(format!("the daemon sent what cannot be read: {error}"))
 }
 
 /// A sensor, and the box that it is tried with.
@@ -246,7 +246,7 @@ impl Tried {
         let sensor = &sections.all()[sections.number_of(sender)].sensor;
         let config = sensor.pipeline.clone();
         let mut pipeline = Pipeline::new("", config.clone())
-            .map_err(|error| CliError::Usage(error.to_string()))?;
+            .map_err(|error| CliError::Failed(error.to_string()))?;
         pipeline.find_objects(Some(sensor.objects.max_width_rad));
         Ok(Self {
             name: sections.name_of(sender).to_owned(),

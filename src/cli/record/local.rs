@@ -108,7 +108,7 @@ fn in_place_of_daemon(error: UdpError) -> CliError {
         UdpError::PortTaken {
             port,
             holder: Some(holder),
-        } if holder.is_sweepd() => CliError::Usage(format!(
+        } if holder.is_sweepd() => CliError::Failed(format!(
             "port {port} is held by {holder}; if that is the daemon, `sweepd record --from NAME` records what it receives"
         )),
         _ => error.into(),

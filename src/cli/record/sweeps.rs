@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 
 use super::args::Args;
 use super::live::{TICK, announce, live_line, recovery_watch};
+use crate::cli::stream::printed;
 use crate::cli::{CliError, complain};
 use crate::export::mcap::SweepMessages;
 use crate::files::WriteError;
@@ -57,7 +58,7 @@ pub fn record(
     });
     // Where the disk failed, receiving ended without an error.
     let (counts, written) = (received?, written?);
-    print(&written, &counts, begun.elapsed()).map_err(CliError::Stdout)?;
+    printed(print(&written, &counts, begun.elapsed()))?;
     if counts.missed > 0 {
         let missed = count_of(counts.missed, "sweep");
         complain(
@@ -108,7 +109,7 @@ impl Reception {
             if let Next::Received(sweep) = self.client.next(TICK)? {
                 (last, is_noted) = (Instant::now(), false);
                 let view = sweep.view();
-                let view = view.map_err(|error| CliError::Usage(error.to_string()))?;
+                let view = view.map_err(|error| CliError::Failed(error.to_string()))?;
                 self.counts.missed = self.client.missed();
                 is_open = self.send(SweepMessages::of(&view, &form));
             } else if last.elapsed() > SILENCE && !is_noted {

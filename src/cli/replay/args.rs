@@ -70,6 +70,13 @@ impl Args {
         self.objects || self.output.is_piped() || self.is_pcap_piped()
     }
 
+    /// The folders and files that are written.
+    pub(super) fn files(&self) -> Vec<PathBuf> {
+        let mut files = self.output.places();
+        files.extend(self.pcap.clone().filter(|path| !is_stdout(path)));
+        files
+    }
+
     /// Whether the packets go to standard output.
     fn is_pcap_piped(&self) -> bool {
         self.pcap.as_deref().is_some_and(is_stdout)

@@ -101,7 +101,7 @@ impl<'a> Playback<'a> {
         let mut segmenters = Vec::new();
         for section in self.setup.sections.all() {
             let segmenter = Segmenter::new(section.sensor.pipeline.segmenter())
-                .map_err(|error| CliError::Usage(error.to_string()))?
+                .map_err(|error| CliError::Failed(error.to_string()))?
                 .with_heights_in_headers();
             segmenters.push(TimedSegmenter::new(segmenter, self.setup.args.clock()));
         }

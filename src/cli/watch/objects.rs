@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use super::{Args, LOOK_EVERY, latency};
 use crate::cli::objects::ObjectLines;
+use crate::cli::stream::printed;
 use crate::cli::{CliError, complain};
 use sweepd_client::client::{Client, ObjectsRef};
 use sweepd_client::host::realtime_ns;
@@ -39,14 +40,14 @@ pub(super) fn run(args: &Args, client: &Client, over: &AtomicBool) -> Result<(),
             if args.is_over(last.elapsed()) {
                 let seconds = last.elapsed().as_secs_f64();
                 let text = format!("no objects for {seconds:.1} s: does the sensor send?");
-                return Err(CliError::Usage(text));
+                return Err(CliError::Failed(text));
             }
             continue;
         };
         let now_ns = realtime_ns();
         last = Instant::now();
         let view = message.view();
-        let view = view.map_err(|error| CliError::Usage(error.to_string()))?;
+        let view = view.map_err(|error| CliError::Failed(error.to_string()))?;
         seen += u64::from(view.header.flags & flags::LAST != 0);
         if args.latency {
             delays.add(&view, now_ns);
@@ -70,7 +71,7 @@ pub(super) fn run(args: &Args, client: &Client, over: &AtomicBool) -> Result<(),
         }
     }
     if args.latency {
-        delays.print().map_err(CliError::Stdout)?;
+        printed(delays.print())?;
     }
     Ok(())
 }

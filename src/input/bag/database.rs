@@ -44,10 +44,7 @@ impl Database {
         let started = Process::start(&program, path, reader.patience);
         let (process, output) = started.map_err(|error| CaptureError::Open {
             name,
-            source: io::Error::new(
-                error.kind(),
-                format!("cannot start {}: {error}", program.display()),
-            ),
+            source: io::Error::other(format!("cannot start {}: {error}", program.display())),
         })?;
         Ok(Self {
             frames: Frames::new(BufReader::with_capacity(64 << 10, output)),

@@ -16,7 +16,7 @@ mod stamps;
 
 use std::collections::VecDeque;
 use std::fs::File;
-use std::io::Cursor;
+use std::io::{self, Cursor};
 use std::net::{Ipv6Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 
@@ -250,8 +250,9 @@ impl Bag {
             source,
         })?;
         let Some(first) = files.pop_front() else {
-            let found = "a folder without .mcap, .db3 or .bag files".to_owned();
-            return Err(CaptureError::NotACapture { name, found });
+            let found = "a folder without .mcap, .db3 or .bag files";
+            let source = io::Error::new(io::ErrorKind::IsADirectory, found);
+            return Err(CaptureError::Open { name, source });
         };
         let opened = open_log(&first, reader)?;
         Self::begin(name, opened, reader, Some(first), files)

@@ -19,6 +19,8 @@ pub struct ParameterError {
     /// The file and the line, or the argument.
     pub(super) place: String,
     pub(super) what: String,
+    /// Whether the file cannot be read at all.
+    pub is_unread: bool,
 }
 
 /// A value of YAML. Scalars are text: each parameter knows what it may be.
@@ -175,7 +177,11 @@ pub(super) fn find_sections<'a>(
 ) -> Result<(), ParameterError> {
     let wrong = |location, what| {
         let place = place(file, location);
-        Err(ParameterError { place, what })
+        Err(ParameterError {
+            place,
+            what,
+            is_unread: false,
+        })
     };
     let Tree::Map(pairs) = &tree.value else {
         return match &tree.value {
@@ -242,6 +248,7 @@ pub(super) fn read_tree(text: &str, file: &str) -> Result<Spanned<Tree>, Paramet
         ParameterError {
             place: place(file, error.location().unwrap_or(Location::UNKNOWN)),
             what: what.to_owned(),
+            is_unread: false,
         }
     })
 }

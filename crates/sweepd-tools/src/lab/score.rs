@@ -7,7 +7,6 @@ mod scans;
 mod table;
 mod trial;
 
-use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressFinish, ProgressStyle};
@@ -16,6 +15,7 @@ use serde::Serialize;
 use self::scans::{Scan, find};
 use sweepd::cli::options::within;
 use sweepd::cli::output::ForceOptions;
+use sweepd::cli::stream::print;
 use sweepd::cli::{CliError, complain};
 use sweepd::text::count_of;
 use sweepd_core::segment::settings::THETA_DEG;
@@ -144,9 +144,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         Some(pred) => score(args, &found.scans, pred)?,
         None => methods::compare(args, &found.scans)?,
     };
-    io::stdout()
-        .write_all(text.as_bytes())
-        .map_err(CliError::Stdout)
+    print(&text)
 }
 
 impl Args {
@@ -185,7 +183,7 @@ fn score(args: &Args, scans: &[Scan], pred: &Path) -> Result<String, CliError> {
         let points = scan.points()?;
         let labels = scans::read_labels(&file)?;
         let score = ScanScore::new(&scan.truth(&points)?, &labels, &sizes).map_err(|error| {
-            CliError::Usage(format!(
+            CliError::Failed(format!(
                 "{}: {error} of {}; labels of another cloud, or cut short: make them again",
                 file.display(),
                 scan.cloud.display()

@@ -1,6 +1,5 @@
 //! `sweepd segment`: point clouds that have no packets.
 
-use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use super::read_file;
@@ -8,6 +7,7 @@ use sweepd::cli::CliError;
 use sweepd::cli::jobs::{self, JobOptions};
 use sweepd::cli::options::{ConfigOptions, SegmentOptions, model};
 use sweepd::cli::output::ForceOptions;
+use sweepd::cli::stream::print;
 use sweepd::export::{Existing, WriteError};
 use sweepd::files;
 use sweepd::files::output;
@@ -103,7 +103,7 @@ fn segmenters(args: &Args, count: usize) -> Result<Vec<CloudSegmenter>, CliError
     let mut segmenters = Vec::new();
     for _ in 0..count {
         let segmenter = CloudSegmenter::new(config.segment.clone(), args.columns)
-            .map_err(|error| CliError::Usage(error.to_string()))?
+            .map_err(|error| CliError::Failed(error.to_string()))?
             .with_removal(&config.removal);
         segmenters.push(match &table {
             Some(table) => segmenter.with_rows(table.clone()),
@@ -158,18 +158,16 @@ impl Labels {
         let share = 100.0 * ground as f64 / labels.len().max(1) as f64;
         let file = file.display();
         let points = labels.len();
-        writeln!(
-            io::stdout(),
-            "{file}: {points} points, {share:.1} % ground, {segments} segments"
-        )
-        .map_err(CliError::Stdout)
+        print(format!(
+            "{file}: {points} points, {share:.1} % ground, {segments} segments\n"
+        ))
     }
 }
 
 /// The error of a cloud; if its order is wrong, with the options that do not need one.
 fn wrong(path: &Path, error: &CloudError) -> CliError {
     let path = path.display();
-    CliError::Usage(match error {
+    CliError::Failed(match error {
         CloudError::Rings { .. } | CloudError::Order { .. } => {
             format!(
                 "{path}: {error}. For a cloud in another order give its beams: --model MODEL, --calibration FILE or --rows-table FILE"
@@ -180,12 +178,15 @@ fn wrong(path: &Path, error: &CloudError) -> CliError {
 }
 
 fn format_of(args: &Args, cloud: &Path) -> Result<Format, CliError> {
-    args.format.or_else(|| Format::of_name(cloud)).ok_or_else(|| {
-        let cloud = cloud.display();
-        CliError::Usage(format!(
-            "{cloud}: its name does not tell what it is (.bin, .pcd.bin, .pcd, .ply); say it with --format"
-        ))
-    })
+    if let Some(format) = args.format.or_else(|| Format::of_name(cloud)) {
+        return Ok(format);
+    }
+    // What is not there has no format.
+    read_file(cloud, MAX_CLOUD_LEN)?;
+    let cloud = cloud.display();
+    Err(CliError::Usage(format!(
+        "{cloud}: its name does not tell what it is (.bin, .pcd.bin, .pcd, .ply); say it with --format"
+    )))
 }
 
 /// The beams of the rows, if they are given.
@@ -194,7 +195,7 @@ fn table(args: &Args) -> Result<Option<RowTable>, CliError> {
         let text = read_file(path, MAX_FILE_LEN as u64)?;
         let table = RowTable::parse(&String::from_utf8_lossy(&text));
         return Ok(Some(table.map_err(|error| {
-            CliError::Usage(format!("{}: {error}", path.display()))
+            CliError::Failed(format!("{}: {error}", path.display()))
         })?));
     }
     if let Some(path) = &args.calibration {
@@ -202,7 +203,7 @@ fn table(args: &Args) -> Result<Option<RowTable>, CliError> {
         if let Some(model) = args.model {
             calibration = calibration
                 .for_model(model)
-                .map_err(|error| CliError::Usage(format!("{}: {error}", path.display())))?;
+                .map_err(|error| CliError::Failed(format!("{}: {error}", path.display())))?;
         }
         return Ok(Some(RowTable::of_calibration(&calibration)));
     }
@@ -244,7 +245,7 @@ fn label_files(args: &Args) -> Result<Vec<PathBuf>, CliError> {
             let message = format!(
                 "{file} lies beside {cloud} already, and may be its true labels; give another folder as --out, or remove it"
             );
-            return Err(CliError::Usage(message));
+            return Err(CliError::Failed(message));
         }
         files.push(file);
     }

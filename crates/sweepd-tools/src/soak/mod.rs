@@ -56,7 +56,7 @@ use run::Outcome;
 /// # Errors
 /// [`CliError`]: it could not be run, or a counter was wrong, or something grew.
 pub fn run(args: &Args) -> Result<(), CliError> {
-    let grown = soak(args).map_err(|failure| CliError::Usage(failure.to_string()))?;
+    let grown = soak(args).map_err(|failure| CliError::Failed(failure.to_string()))?;
     for line in &grown {
         complain("error", line);
     }

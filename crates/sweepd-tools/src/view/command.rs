@@ -87,7 +87,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
             let sections = sections.for_any_sender(&args.sensor.config)?;
             let mount = &sections.all()[0].sensor.pipeline.segment.mount;
             let simulation = Simulation::new(model, args.scene, mount).map_err(|error| {
-                CliError::Usage(format!("{error}; give another --height or --scene"))
+                CliError::Failed(format!("{error}; give another --height or --scene"))
             })?;
             Source::Capture {
                 source_config: SourceConfig {
@@ -147,7 +147,7 @@ impl Args {
         if name.is_some_and(is_likely) {
             return Ok(true);
         }
-        Err(CliError::Usage(format!(
+        Err(CliError::NoInput(format!(
             "there is no capture {}, and no sensor of that name is published in {}: check the path, or start the daemon first",
             source.display(),
             self.root.domain().root().display()
@@ -167,7 +167,7 @@ impl Args {
 
     fn cannot_listen(&self, source: &io::Error) -> CliError {
         let listen = self.listen;
-        CliError::Usage(match source.kind() {
+        CliError::Failed(match source.kind() {
             io::ErrorKind::AddrInUse => format!(
                 "cannot listen on {listen}: another program does, maybe another `sweepd view`; end that one, or give another \
                  port, such as --listen {}:{}",

@@ -311,7 +311,7 @@ fn the_program_says_what_it_is_for_and_writes_to_no_terminal() {
     let missing = run(&["/no/such/file.db3"]);
     let text = String::from_utf8(missing.stderr).unwrap();
     let says = "sweepd-db3: /no/such/file.db3: No such file or directory (os error 2)\n";
-    assert_eq!((text.as_str(), missing.status.code()), (says, Some(1)));
+    assert_eq!((text.as_str(), missing.status.code()), (says, Some(66)));
     let (terminal, shown) = terminal();
     let ran = Command::new(env!("CARGO_BIN_EXE_sweepd-db3"))
         .arg("x.db3")

@@ -13,6 +13,7 @@ use std::thread;
 use clap::Parser;
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::process::{Resource, getrlimit, setrlimit};
+use sweepd::cli::Exit;
 use sweepd::input::db3::End;
 
 /// The most address space that this process may take, bytes.
@@ -50,9 +51,15 @@ fn main() -> ExitCode {
         Ok(End::Whole) => ExitCode::SUCCESS,
         Ok(End::Cut) => failed(format_args!("{file} is cut short")),
         Ok(End::Damaged(why)) => failed(format_args!("{file}: SQLite says: {why}")),
-        Ok(End::Refused(why) | End::Failed(why)) => failed(format_args!("{file}: {why}")),
+        Ok(End::Refused(why) | End::Failed(why)) => {
+            let code = failed(format_args!("{file}: {why}"));
+            match args.file.is_file() {
+                true => code,
+                false => ExitCode::from(Exit::NoInput as u8),
+            }
+        }
         // The reader has gone.
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => ExitCode::FAILURE,
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => ExitCode::SUCCESS,
         Err(error) => failed(format_args!("cannot write to standard output: {error}")),
     }
 }
@@ -83,7 +90,7 @@ fn leave_with_reader() {
         let mut ends = [PollFd::new(&out, PollFlags::empty())];
         // Nothing is asked for but what is always told: that the other end has gone.
         if poll(&mut ends, None).is_ok() && !ends[0].revents().is_empty() {
-            std::process::exit(1);
+            std::process::exit(0);
         }
     }
 }

@@ -41,7 +41,7 @@ pub(super) fn compare(args: &Args, scans: &[Scan]) -> Result<String, CliError> {
         };
         for trial in &mut trials {
             let score = ScanScore::new(&truth, &trial.label(&loaded)?, &sizes)
-                .map_err(|error| CliError::Usage(format!("{}: {error}", scan.cloud.display())))?;
+                .map_err(|error| CliError::Failed(format!("{}: {error}", scan.cloud.display())))?;
             trial.scored.push((scan.sequence().to_owned(), score));
         }
     }

@@ -63,7 +63,7 @@ pub(super) fn find(folder: &Path, only: &[String]) -> Result<Found, CliError> {
         None if found.scans.is_empty() => "no scans".to_owned(),
         None => return Ok(found),
     };
-    Err(CliError::Usage(format!(
+    Err(CliError::Failed(format!(
         "{}: {what}; expected NAME.bin with its true labels in NAME.label beside it, in folders by sequence",
         folder.display()
     )))
@@ -154,7 +154,7 @@ impl Scan {
     /// What is known of the points.
     pub(super) fn truth(&self, points: &[[f32; 4]]) -> Result<Truth, CliError> {
         Truth::new(points, read_labels(&self.truth)?).map_err(|error| {
-            CliError::Usage(format!(
+            CliError::Failed(format!(
                 "{}: {error} of {}; get both from the same release of the data",
                 self.truth.display(),
                 self.cloud.display()
@@ -169,7 +169,7 @@ impl Scan {
         let file = path.display();
         if !path.is_file() {
             let out = path.parent().unwrap_or(folder).display();
-            return Err(CliError::Usage(format!(
+            return Err(CliError::Failed(format!(
                 "{file}: no labels for {cloud}, and no scan may be left out; make them with: sweepd segment {cloud} \
                  --out {out}, or choose scans with --only"
             )));
@@ -177,7 +177,7 @@ impl Scan {
         if path.canonicalize().ok() == self.truth.canonicalize().ok() {
             let message =
                 format!("{file}: these are the true labels; name the folder with yours by --pred");
-            return Err(CliError::Usage(message));
+            return Err(CliError::Failed(message));
         }
         Ok(path)
     }
@@ -186,7 +186,7 @@ impl Scan {
 /// The points in the bytes of a cloud.
 pub(super) fn points(cloud: &Path, bytes: &[u8]) -> Result<Vec<[f32; 4]>, CliError> {
     sweepd_lab::cloud::points(bytes)
-        .map_err(|error| CliError::Usage(format!("{}: {error}", cloud.display())))
+        .map_err(|error| CliError::Failed(format!("{}: {error}", cloud.display())))
 }
 
 /// The labels in a file, one little-endian u32 a point.
@@ -194,7 +194,7 @@ pub(super) fn read_labels(file: &Path) -> Result<Vec<u32>, CliError> {
     let bytes = read_file(file, MAX_CLOUD_LEN / (POINT_BYTES / LABEL_BYTES) as u64)?;
     let (labels, rest) = bytes.as_chunks::<LABEL_BYTES>();
     if !rest.is_empty() {
-        return Err(CliError::Usage(format!(
+        return Err(CliError::Failed(format!(
             "{}: {} bytes, expected a multiple of {LABEL_BYTES}: one little-endian u32 a point",
             file.display(),
             bytes.len()

@@ -33,12 +33,13 @@ impl OwnMethod {
     pub(super) fn segment(&mut self, cloud: &Path, bytes: &[u8]) -> Result<Vec<u32>, CliError> {
         self.segmenter
             .segment(bytes)
-            .map_err(|error| CliError::Usage(format!("{}: {error}", cloud.display())))
+            .map_err(|error| CliError::Failed(format!("{}: {error}", cloud.display())))
     }
 }
 
 fn segmenter(config: &Config, columns: usize) -> Result<CloudSegmenter, CliError> {
-    CloudSegmenter::new(config.clone(), columns).map_err(|error| CliError::Usage(error.to_string()))
+    CloudSegmenter::new(config.clone(), columns)
+        .map_err(|error| CliError::Failed(error.to_string()))
 }
 
 /// What segments a cloud.

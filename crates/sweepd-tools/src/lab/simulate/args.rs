@@ -388,7 +388,7 @@ impl Args {
         };
         let fitted = files::calibration(path)?.for_model(model);
         fitted.map(Some).map_err(|error| {
-            CliError::Usage(format!(
+            CliError::Failed(format!(
                 "--calibration {} does not fit the {model}: {error}",
                 path.display()
             ))
@@ -430,7 +430,7 @@ impl Args {
             config.eye = self.faults.eye;
             let pose = self.scene.mounted(scene, number, &mount);
             config.pose = pose.map_err(|error| {
-                CliError::Usage(format!(
+                CliError::Failed(format!(
                     "{error}; give another --height, --scene or --seed, or fewer sensors"
                 ))
             })?;
@@ -454,7 +454,7 @@ impl Args {
                     Some(path) => format!("--calibration {}: {error}", path.display()),
                     None => error,
                 })
-                .map_err(CliError::Usage)?;
+                .map_err(CliError::Failed)?;
             configs.push(config);
         }
         Ok(configs)

@@ -83,7 +83,7 @@ fn encode(args: &Args, cloud: &Path) -> Result<Turn, CliError> {
 }
 
 fn cloud_error(cloud: &Path, error: FromCloudError) -> CliError {
-    CliError::Usage(format!("{}: {error}", cloud.display()))
+    CliError::Failed(format!("{}: {error}", cloud.display()))
 }
 
 /// The file of the fitted calibration: beside the capture by default. Never the file that is

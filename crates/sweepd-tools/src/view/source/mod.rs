@@ -103,7 +103,7 @@ pub(super) fn start(source: Source) -> Result<(Running, Channels), CliError> {
             }
             let describer = publisher.describer();
             let player = Player::new(publisher, source_config.clone(), is_endless)
-                .map_err(|error| CliError::Usage(error.to_string()))?;
+                .map_err(|error| CliError::Failed(error.to_string()))?;
             let chosen = player.chosen();
             running.spawn("player", move || player.run())?;
             running.spawn("index", move || {
