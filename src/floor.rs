@@ -33,15 +33,25 @@ pub fn line(floor: &Floor) -> String {
 }
 
 fn keys(floor: &Floor) -> [String; 3] {
+    let [height_m, pitch_deg, roll_deg] = numbers(floor);
+    [
+        format!("height_m = {height_m:.3}"),
+        format!("pitch_deg = {pitch_deg:.1}"),
+        format!("roll_deg = {roll_deg:.1}"),
+    ]
+}
+
+/// Height, pitch and roll.
+fn numbers(floor: &Floor) -> [f64; 3] {
     let [pitch_deg, mut roll_deg] = [floor.pitch_rad, floor.roll_rad].map(f32::to_degrees);
     // Half a turn has one name.
     if roll_deg < -179.95 {
         roll_deg += 360.0;
     }
     [
-        format!("height_m = {}", rounded(floor.height_m, 3)),
-        format!("pitch_deg = {}", rounded(pitch_deg, 1)),
-        format!("roll_deg = {}", rounded(roll_deg, 1)),
+        rounded(floor.height_m, 1e3),
+        rounded(pitch_deg, 10.0),
+        rounded(roll_deg, 10.0),
     ]
 }
 
@@ -59,11 +69,9 @@ fn spread(floor: &Floor) -> String {
     )
 }
 
-/// With so many decimals, and no minus before a 0.
-fn rounded(number: f32, decimals: usize) -> String {
-    let scale = 10_f64.powi(decimals as i32);
-    let whole = (f64::from(number) * scale).round();
-    format!("{:.decimals$}", whole / scale + 0.0)
+/// With no minus before a 0.
+fn rounded(number: f32, per_unit: f64) -> f64 {
+    (f64::from(number) * per_unit).round() / per_unit + 0.0
 }
 
 /// What is wrong with the mount that is set; `None` if it is that of the floor, within 2 degrees and a
@@ -94,10 +102,16 @@ pub fn json(sight: &Sight, set: &Mount) -> Value {
     match sight {
         Sight::Unknown => Value::Null,
         Sight::NoFloor => json!({ "lines": null, "trouble": NOT_SEEN }),
-        Sight::Floor(floor) => json!({
-            "lines": lines(floor),
-            "trouble": difference(floor, set),
-        }),
+        Sight::Floor(floor) => {
+            let [height_m, pitch_deg, roll_deg] = numbers(floor);
+            json!({
+                "height_m": height_m,
+                "pitch_deg": pitch_deg,
+                "roll_deg": roll_deg,
+                "lines": lines(floor),
+                "trouble": difference(floor, set),
+            })
+        }
     }
 }
 

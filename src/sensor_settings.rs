@@ -8,6 +8,7 @@ use std::fmt;
 use std::net::Ipv4Addr;
 use std::str::FromStr;
 
+use serde::{Serialize, Serializer};
 use sweepd_core::sweep::layout::flags;
 use sweepd_core::wire::data::ReturnMode;
 
@@ -18,7 +19,7 @@ const EDGE_DEG: i32 = 2;
 const WHOLE_DEG: i32 = 358;
 
 /// Settings of a sensor; `None` where one is unknown, or where any will do.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Settings {
     /// Speed of the head.
     pub rpm: Option<Rpm>,
@@ -141,7 +142,7 @@ fn text(value: &Option<impl ToString>) -> Option<String> {
 }
 
 /// Turns a minute.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Rpm(pub u16);
 
 impl Rpm {
@@ -274,7 +275,7 @@ impl fmt::Display for Switch {
 }
 
 /// The address that packets are sent to: a host's, a broadcast, or a multicast group.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Host(pub Ipv4Addr);
 
 impl FromStr for Host {
@@ -291,7 +292,7 @@ impl FromStr for Host {
 }
 
 /// A UDP port.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Port(pub u16);
 
 impl FromStr for Port {
@@ -347,6 +348,18 @@ macro_rules! shown_as_its_content {
 }
 
 shown_as_its_content!(Rpm Returns Host Port);
+
+macro_rules! serialized_as_shown {
+    ($($type:ident)*) => {
+        $(impl Serialize for $type {
+            fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+                serializer.collect_str(self)
+            }
+        })*
+    };
+}
+
+serialized_as_shown!(Returns FieldOfView Switch PhaseLock);
 
 #[cfg(test)]
 mod tests {

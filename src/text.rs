@@ -121,11 +121,14 @@ pub fn visible(text: impl Display) -> String {
 /// The rate of things that came between two times: ` (753.5 a second)`, where there is more than
 /// one.
 pub fn rate(count: u64, first_ns: i64, last_ns: i64) -> String {
+    let rate = rate_per_s(count, first_ns, last_ns);
+    rate.map_or(String::new(), |rate| format!(" ({rate:.1} a second)"))
+}
+
+/// The same as a number.
+pub fn rate_per_s(count: u64, first_ns: i64, last_ns: i64) -> Option<f64> {
     let seconds = last_ns.saturating_sub(first_ns) as f64 * 1e-9;
-    if count < 2 || seconds <= 0.0 {
-        return String::new();
-    }
-    format!(" ({:.1} a second)", (count - 1) as f64 / seconds)
+    (count > 1 && seconds > 0.0).then(|| (count - 1) as f64 / seconds)
 }
 
 /// Adds a row to a text: a name, and the value beside it.

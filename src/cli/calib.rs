@@ -2,11 +2,13 @@
 //! packets.
 
 use std::fmt::Write as _;
-use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
+use serde::Serialize;
+
 use super::error::read_calibration;
-use super::output::ForceOptions;
+use super::output::{ForceOptions, rounded};
+use super::stream::{print, print_json};
 use super::{CliError, complain, warn_of};
 use crate::admission::{Sender, SensorFilter};
 use crate::files::output;
@@ -38,6 +40,9 @@ Example:
         /// A db.xml or ROS YAML
         #[arg(value_name = "FILE")]
         file: PathBuf,
+        /// One JSON object on standard output
+        #[arg(long)]
+        json: bool,
     },
     /// Name the beams that differ by more than 0.02 degrees or 2 mm; exit code 1 if there are any
     #[command(after_help = "\
@@ -50,6 +55,9 @@ Example:
         /// Another
         #[arg(value_name = "B")]
         b: PathBuf,
+        /// One JSON object on standard output
+        #[arg(long)]
+        json: bool,
     },
     /// Write the calibration that an HDL-64E S2.1 or S3 sends with its packets as a ROS YAML
     #[command(after_help = "\
@@ -83,23 +91,129 @@ struct FromCapture {
 /// [`CliError::Reported`] for calibrations that differ.
 pub fn run(args: &Args) -> Result<(), CliError> {
     match &args.command {
-        Command::Show { file } => print(&show(file, &read_calibration(file)?)),
-        Command::Diff { a, b } => diff(a, b),
+        Command::Show { file, json: false } => print(show(file, &read_calibration(file)?)),
+        Command::Show { file, json: true } => {
+            print_json(&Shown::new(file, &read_calibration(file)?))
+        }
+        Command::Diff { a, b, json: false } => diff(a, b),
+        Command::Diff { a, b, json: true } => diff_json(a, b),
         Command::FromCapture(args) => from_capture(args),
     }
 }
 
-fn print(text: &str) -> Result<(), CliError> {
-    io::stdout()
-        .write_all(text.as_bytes())
-        .map_err(CliError::Stdout)
+/// What `show --json` prints. Lengths are in metres, angles in degrees.
+#[derive(Serialize)]
+struct Shown {
+    file: PathBuf,
+    distance_unit_m: f64,
+    models: Vec<&'static str>,
+    beams: Vec<ShownBeam>,
+}
+
+/// A beam, the highest first.
+#[derive(Serialize)]
+struct ShownBeam {
+    row: usize,
+    channel: usize,
+    elevation_deg: f64,
+    rotation_deg: f64,
+    distance_offset_m: f64,
+    near_distance_offsets_m: Option<[f64; 2]>,
+    vertical_offset_m: f64,
+    horizontal_offset_m: f64,
+    focal_distance_m: Option<f64>,
+    focal_slope: Option<f64>,
+    intensity: Option<[f64; 2]>,
+}
+
+impl Shown {
+    fn new(file: &Path, calibration: &Calibration) -> Self {
+        let mut beams = Vec::new();
+        for (row, &channel) in calibration.rows().iter().enumerate() {
+            let beam = &calibration.beams()[channel];
+            let intensity = beam.intensity.as_ref();
+            beams.push(ShownBeam {
+                row,
+                channel,
+                elevation_deg: readable(beam.elevation_rad.to_degrees()),
+                rotation_deg: readable(beam.rotation_rad.to_degrees()),
+                distance_offset_m: beam.distance_offset_m,
+                near_distance_offsets_m: beam.two_point.map(|_| beam.near_distance_offsets_m()),
+                vertical_offset_m: beam.vertical_offset_m,
+                horizontal_offset_m: beam.horizontal_offset_m,
+                focal_distance_m: intensity.map(|one| one.focal_distance_m),
+                focal_slope: intensity.map(|one| one.focal_slope),
+                intensity: intensity.map(|one| [one.min, one.max]),
+            });
+        }
+        Self {
+            file: file.to_owned(),
+            distance_unit_m: calibration.distance_unit_m(),
+            models: fitting_models(calibration),
+            beams,
+        }
+    }
+}
+
+/// Without the noise of a conversion.
+fn readable(value: f64) -> f64 {
+    rounded(value, 1e9)
+}
+
+/// What `diff --json` prints.
+#[derive(Serialize)]
+struct Compared {
+    files: [PathBuf; 2],
+    distance_unit_m: [f64; 2],
+    beams: [usize; 2],
+    differences: Vec<ComparedBeam>,
+}
+
+/// A value of a beam that differs.
+#[derive(Serialize)]
+struct ComparedBeam {
+    channel: usize,
+    quantity: &'static str,
+    unit: &'static str,
+    values: [f64; 2],
+}
+
+fn diff_json(a: &Path, b: &Path) -> Result<(), CliError> {
+    let calibrations = [read_calibration(a)?, read_calibration(b)?];
+    let [first, second] = &calibrations;
+    let mut found = Vec::new();
+    for difference in differences(first, second) {
+        found.push(ComparedBeam {
+            channel: difference.channel,
+            quantity: difference.quantity.name(),
+            unit: difference.quantity.unit(),
+            values: difference.values.map(readable),
+        });
+    }
+    let distance_unit_m = calibrations.each_ref().map(Calibration::distance_unit_m);
+    let beams = calibrations.each_ref().map(|one| one.beams().len());
+    let is_same =
+        found.is_empty() && distance_unit_m[0] == distance_unit_m[1] && beams[0] == beams[1];
+    print_json(&Compared {
+        files: [a, b].map(Path::to_owned),
+        distance_unit_m,
+        beams,
+        differences: found,
+    })?;
+    match is_same {
+        true => Ok(()),
+        false => Err(CliError::Reported),
+    }
 }
 
 fn show(file: &Path, calibration: &Calibration) -> String {
     let beams = calibration.beams();
     let count = count_of(beams.len() as u64, "beam");
     let unit_mm = calibration.distance_unit_m() * 1e3;
-    let models = fitting_models(calibration);
+    let models = match &fitting_models(calibration)[..] {
+        [] => "no supported model".to_owned(),
+        models => models.join(", "),
+    };
     let mut text = format!(
         "{}: {count}, distances in units of {unit_mm:.0} mm; fits {models}\n\n",
         file.display(),
@@ -139,17 +253,14 @@ fn line(beam: &Beam) -> String {
 }
 
 /// The models that a calibration may belong to.
-fn fitting_models(calibration: &Calibration) -> String {
-    let mut models: Vec<&str> = Vec::new();
+fn fitting_models(calibration: &Calibration) -> Vec<&'static str> {
+    let mut models = Vec::new();
     for model in Model::ALL {
         if calibration.clone().for_model(model).is_ok() {
             models.push(model.name());
         }
     }
-    if models.is_empty() {
-        return "no supported model".to_owned();
-    }
-    models.join(", ")
+    models
 }
 
 fn diff(path_a: &Path, path_b: &Path) -> Result<(), CliError> {
@@ -236,7 +347,7 @@ fn from_capture(args: &FromCapture) -> Result<(), CliError> {
 
 impl FromCapture {
     fn refused(&self, message: &str) -> CliError {
-        CliError::Usage(format!("{}: {message}", self.capture.display()))
+        CliError::Failed(format!("{}: {message}", self.capture.display()))
     }
 }
 

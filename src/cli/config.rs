@@ -1,13 +1,17 @@
 //! `sweepd config`: checks a configuration, or prints an example.
 
+mod json;
+
 use std::fmt::{Display, Write as _};
-use std::io::{self, Write as _};
+use std::io;
 use std::path::{Path, PathBuf};
 use sweepd_core::sensor::ModelExt;
 
+use self::json::{Checked, Refused};
+use super::stream::{print, print_json};
 use super::{CliError, complain};
 use crate::daemon::config::{
-    Config, RecordConfig, SensorConfig, differing, example, memory, read_text,
+    Config, ConfigError, RecordConfig, SensorConfig, differing, example, memory, read_text,
 };
 use crate::publish::{SHARED_MEMORY, free_bytes, pool_sweeps};
 use crate::text::{count_of, visible};
@@ -30,6 +34,9 @@ Example:
         /// The configuration, TOML
         #[arg(value_name = "FILE")]
         file: PathBuf,
+        /// One JSON object on standard output
+        #[arg(long)]
+        json: bool,
     },
     /// Print an example configuration with every key explained
     #[command(after_help = "\
@@ -44,28 +51,18 @@ Example:
 /// [`CliError::Config`]: a file that cannot be read, or an invalid value.
 pub fn run(args: &Args) -> Result<(), CliError> {
     match &args.command {
-        Command::Example => print(&example()),
-        Command::Check { file } => check(file),
+        Command::Example => print(example()),
+        Command::Check { file, json } => check(file, *json),
     }
 }
 
-fn print(text: &str) -> Result<(), CliError> {
-    io::stdout()
-        .write_all(text.as_bytes())
-        .map_err(CliError::Stdout)
-}
-
-fn check(file: &Path) -> Result<(), CliError> {
+fn check(file: &Path, is_json: bool) -> Result<(), CliError> {
     let written = read_text(file)?;
-    let config = Config::parse(file, &written)?;
-    let mut text = format!(
-        "{}: {}\n",
-        visible(file.display()),
-        count_of(config.sensors.len() as u64, "sensor")
-    );
-    for (sensor, settings) in config.sensors.iter().zip(differing(&written)) {
-        describe_sensor(&mut text, sensor, &settings);
+    let config = Config::parse(file, &written);
+    if let (Err(ConfigError::Invalid(problems)), true) = (&config, is_json) {
+        print_json(&Refused::new(file, problems))?;
     }
+    let config = config?;
     let (mut least, mut most) = (0, 0);
     for sensor in &config.sensors {
         let pool = memory::pool_bytes(sensor);
@@ -73,41 +70,52 @@ fn check(file: &Path) -> Result<(), CliError> {
         most += pool.end() + memory::objects_bytes(sensor);
     }
     let free = free_bytes();
-    describe_daemon(&mut text, &config, &mib(least, most), &free);
-    print(&text)?;
-    for warning in &config.warnings {
+    let warnings = warnings(&config, free.as_ref().ok().copied(), most);
+    let settings = differing(&written);
+    if is_json {
+        let free = free.ok();
+        let all = [least, most];
+        print_json(&Checked::new(
+            file, &config, &settings, all, free, &warnings,
+        ))?;
+    } else {
+        let sensors = count_of(config.sensors.len() as u64, "sensor");
+        let mut text = format!("{}: {sensors}\n", visible(file.display()));
+        for (sensor, settings) in config.sensors.iter().zip(&settings) {
+            describe_sensor(&mut text, sensor, settings);
+        }
+        describe_daemon(&mut text, &config, &mib(least, most), &free);
+        print(&text)?;
+    }
+    for warning in warnings {
         complain("warning", warning);
     }
+    Ok(())
+}
+
+/// What may be meant, and will hardly do. `most` bytes of shared memory may be needed.
+fn warnings(config: &Config, free: Option<u64>, most: u64) -> Vec<String> {
+    let mut warnings = config.warnings.clone();
     for sensor in &config.sensors {
         if sensor.pipeline.segment.mount.height_m.is_some() && sensor.pipeline.position_m[2] == 0.0
         {
-            complain(
-                "warning",
-                format_args!(
-                    "{}: `height_m` is set and `z_m` is not: the robot's origin is as high as the sensor; if it is on the floor, set \
-                     `z_m` to the same height",
-                    sensor.name
-                ),
-            );
+            warnings.push(format!(
+                "{}: `height_m` is set and `z_m` is not: the robot's origin is as high as the sensor; if it is on the floor, set \
+                 `z_m` to the same height",
+                sensor.name
+            ));
         }
     }
-    for missing in config.missing_on_this_host() {
-        complain("warning", missing);
-    }
-    if let Ok(free) = free
-        && free < most
-    {
+    warnings.extend(config.missing_on_this_host());
+    if let Some(free) = free.filter(|&free| free < most) {
         let free = mib(free, free);
         let most = mib(most, most);
-        complain(
-            "warning",
-            format_args!(
-                "{SHARED_MEMORY} has {free} free and {most} may be needed, if no daemon holds that now; enlarge it with \
-                 `mount -o remount,size=...` (of a container: --shm-size), lower max_consumers, or tell model and returns"
-            ),
-        );
+        warnings.push(format!(
+            "{SHARED_MEMORY} has {free} free and {most} may be needed, if no daemon holds that now; enlarge it with \
+             `mount -o remount,size=...` (of a container: --shm-size), lower max_consumers, or tell model and returns"
+        ));
     }
-    Ok(())
+    warnings
 }
 
 /// Adds a row: a name, and the value beside it.
@@ -118,10 +126,7 @@ fn row(text: &mut String, name: &str, value: impl Display) {
 fn describe_sensor(text: &mut String, sensor: &SensorConfig, settings: &[String]) {
     let SensorConfig { name, address, .. } = sensor;
     let _ = writeln!(text, "\n{name}");
-    let source = match sensor.source_port {
-        Some(port) => format!("{address}:{port}"),
-        None => address.to_string(),
-    };
+    let source = source(sensor);
     let packets = format_args!("from {source} to port {}", sensor.port.port);
     row(text, "packets", packets);
     let positions = format_args!("from {address} to port {}", sensor.position_port);
@@ -154,6 +159,15 @@ fn describe_sensor(text: &mut String, sensor: &SensorConfig, settings: &[String]
     for (number, setting) in settings.iter().enumerate() {
         let name = if number == 0 { "settings" } else { "" };
         row(text, name, setting);
+    }
+}
+
+/// Where its packets come from.
+fn source(sensor: &SensorConfig) -> String {
+    let address = sensor.address;
+    match sensor.source_port {
+        Some(port) => format!("{address}:{port}"),
+        None => address.to_string(),
     }
 }
 

@@ -3,22 +3,28 @@
 
 mod flows;
 mod positions;
+mod report;
 mod status;
 mod turns;
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::io::{self, Write as _};
 use std::net::IpAddr;
 use std::path::PathBuf;
 
+use serde_json::Value;
+
 use flows::Flows;
 use positions::Positions;
+use report::{CaptureReport, Report, SensorReport, per_s};
 use turns::Turns;
 
 use super::CliError;
 use super::options::MountOptions;
-use crate::admission::{DiscoveredSensors, Refused, Route};
+use super::output::rounded;
+use super::stream::{print, print_json};
+use crate::admission::{DiscoveredSensors, Refused, Route, Sender};
+use crate::beams;
 use crate::cure::{Dialect, explain_model};
 use crate::input::{Capture, LinkType, Placed};
 use crate::streams::{Stream, Streams};
@@ -46,6 +52,9 @@ pub struct Args {
     /// How the sensors are said to be mounted: the floor is held against it.
     #[command(flatten)]
     mount: MountOptions,
+    /// One JSON object on standard output
+    #[arg(long)]
+    json: bool,
 }
 
 /// Runs the command.
@@ -76,11 +85,22 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         }
     };
     let Streams { sensors, all, .. } = &mut streams;
-    let mut text = describe(&capture, sensors, all, &positions);
-    text += &describe_others(&capture, sensors, &flows);
-    io::stdout()
-        .write_all(text.as_bytes())
-        .map_err(CliError::Stdout)?;
+    all.iter_mut().for_each(DataStream::finish);
+    if args.json {
+        let senders = sensors.senders().iter().zip(all);
+        print_json(&Report {
+            capture: CaptureReport::new(&capture, sensors),
+            sensors: senders
+                .map(|(sender, stream)| stream.report(sender))
+                .collect(),
+            positions: positions.iter().map(|(ip, one)| one.report(*ip)).collect(),
+            flows: flows.reports(),
+        })?;
+    } else {
+        let mut text = describe(&capture, sensors, all, &positions);
+        text += &describe_others(&capture, sensors, &flows);
+        print(&text)?;
+    }
     read.map_err(CliError::Capture)
 }
 
@@ -88,7 +108,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
 fn describe(
     capture: &Capture,
     sensors: &DiscoveredSensors,
-    streams: &mut [DataStream],
+    streams: &[DataStream],
     positions: &BTreeMap<IpAddr, Positions>,
 ) -> String {
     let mut text = describe_capture(capture, sensors);
@@ -100,7 +120,6 @@ fn describe(
     for (sensor, stream) in sensors.senders().iter().zip(streams) {
         let source = sensor.source;
         let _ = writeln!(text, "\n{}", sensor.origin());
-        stream.finish();
         stream.describe(&mut text);
         if let Some(positions) = positions.get(&source.ip()) {
             let whose = match addresses[&source.ip()] {
@@ -389,6 +408,47 @@ impl DataStream {
         }
     }
 
+    fn report<'a>(&self, sender: &'a Sender) -> SensorReport<'a> {
+        let (detection, fault) = match &self.model {
+            Some(Ok(detection)) => (Some(detection), None),
+            Some(Err(error)) => (None, Some(error)),
+            None => (None, None),
+        };
+        let (motion, turns) = (&self.motion, self.turns.as_ref());
+        let counts = self
+            .order
+            .as_ref()
+            .map(PacketOrder::counts)
+            .unwrap_or_default();
+        SensorReport {
+            sender: sender.into(),
+            model: detection.map(|one| self.told_by_status(one).unwrap_or(one.model).name()),
+            model_basis: detection.map(|one| one.basis.to_string()),
+            fault: fault.map(|error| explain_model(error, Dialect::CommandLine)),
+            return_modes: self.modes.iter().map(|mode| mode.name()).collect(),
+            rpm: motion.mean_rpm().map(|rpm| rounded(rpm, 1000.0)),
+            rpm_range: motion
+                .rpm_range()
+                .map(|range| range.map(|rpm| rounded(rpm, 1000.0))),
+            left_out_deg: motion
+                .sector
+                .map(|sector| left_out_deg(sector).map(|deg| rounded(deg, 10.0))),
+            packets: self.packets,
+            packets_per_s: per_s(self.packets, self.first_ns, self.last_ns),
+            lost_packets: motion.lost,
+            reordered: counts.reordered,
+            duplicates: motion.duplicates,
+            late: motion.late,
+            unconfirmed: counts.unconfirmed,
+            malformed: self.malformed,
+            restarts: motion.restarts,
+            dark_beams: beams::json(&turns.map(Turns::dark_beams).unwrap_or_default()),
+            eye: turns.map(Turns::eye).unwrap_or_default(),
+            floor: turns.map_or(Value::Null, Turns::floor),
+            unit: self.status.as_ref().and_then(status::report),
+        }
+    }
+
     fn model_text(&self) -> String {
         let detection = match &self.model {
             Some(Ok(detection)) => detection,
@@ -398,13 +458,17 @@ impl DataStream {
             }
             None => return "no well-formed packet tells".to_owned(),
         };
-        let series = self.status.as_ref().and_then(Status::series);
-        // With one return, the packets of both series are the same except for the status.
-        if detection.model == Model::Hdl64eS2 && series == Some(Series::S3) {
-            let model = Model::Hdl64eS3;
-            return format!("{model}, by its two heads, packet period and status");
+        match self.told_by_status(detection) {
+            Some(model) => format!("{model}, by its two heads, packet period and status"),
+            None => format!("{}, {}", detection.model, detection.basis.words()),
         }
-        format!("{}, {}", detection.model, detection.basis.words())
+    }
+
+    /// With one return, the packets of both series are the same except for the status.
+    fn told_by_status(&self, detection: &Detection) -> Option<Model> {
+        let series = self.status.as_ref().and_then(Status::series);
+        (detection.model == Model::Hdl64eS2 && series == Some(Series::S3))
+            .then_some(Model::Hdl64eS3)
     }
 
     fn mode_text(&self) -> String {
@@ -446,32 +510,41 @@ impl MotionStats {
         self.sector = order.sector().or(self.sector);
     }
 
-    /// Its mean, its bounds over whole turns, and the sense if it is the unusual one.
-    fn speed(&self) -> String {
-        let turns = self.turns_rpm.iter().copied();
-        let mean = match turns.len() {
-            0 => self.rpm_sum / self.rpm_count as f64,
-            count => turns.clone().sum::<f64>() / count as f64,
+    /// Mean of whole turns, else of the packets.
+    fn mean_rpm(&self) -> Option<f64> {
+        let (sum, count) = match self.turns_rpm.len() {
+            0 => (self.rpm_sum, self.rpm_count),
+            count => (self.turns_rpm.iter().sum(), count as u64),
         };
+        (count > 0).then(|| sum / count as f64)
+    }
+
+    /// The bounds of whole turns.
+    fn rpm_range(&self) -> Option<[f64; 2]> {
+        let turns = self.turns_rpm.iter().copied();
+        let least = turns.clone().reduce(f64::min)?;
+        Some([least, turns.reduce(f64::max)?])
+    }
+
+    /// Its mean, its bounds over whole turns, and the sense if it is the unusual one.
+    fn speed(&self) -> Option<String> {
+        let mean = self.mean_rpm()?;
         let mut speed = format!("{:.1} rpm", mean.abs());
-        if turns.len() > 0 {
-            let a = turns.clone().fold(f64::INFINITY, f64::min).abs();
-            let b = turns.fold(f64::NEG_INFINITY, f64::max).abs();
+        if let Some([a, b]) = self.rpm_range().map(|range| range.map(f64::abs)) {
             let _ = write!(speed, " ({:.1} to {:.1})", a.min(b), a.max(b));
         }
         if mean < 0.0 {
             speed += ", counter-clockwise";
         }
-        speed
+        Some(speed)
     }
 
     fn describe(&self, text: &mut String, order: &PacketOrder) {
-        if self.rpm_count > 0 {
-            row(text, "speed", self.speed());
+        if let Some(speed) = self.speed() {
+            row(text, "speed", speed);
         }
         if let Some(sector) = self.sector {
-            let from = sector.from_cdeg / 100.0;
-            let to = (from + sector.width_cdeg / 100.0).rem_euclid(360.0);
+            let [from, to] = left_out_deg(sector);
             let sector = format_args!(
                 "azimuth {from:.1} to {to:.1} degrees: the sensor's field of view is limited"
             );
@@ -495,4 +568,10 @@ impl MotionStats {
         }
         row(text, "losses", losses);
     }
+}
+
+/// The first azimuth and the last of a sector, degrees.
+fn left_out_deg(sector: Sector) -> [f64; 2] {
+    let from = sector.from_cdeg / 100.0;
+    [from, (from + sector.width_cdeg / 100.0).rem_euclid(360.0)]
 }

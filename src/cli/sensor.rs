@@ -1,10 +1,12 @@
 //! `sweepd sensor`: shows and sets what a sensor is set to, through its web interface.
 
 use std::fmt::Write as _;
-use std::io::{self, Write};
+
+use serde::Serialize;
 
 use super::CliError;
 use super::error::complain;
+use super::stream::{print, print_json};
 use crate::sensor_settings::{
     Difference, FieldOfView, Host, PhaseLock, Port, Returns, Rpm, Settings, Switch,
 };
@@ -32,8 +34,13 @@ enum Action {
     /// Show what the sensor is set to
     #[command(after_help = "\
 Example:
-  sweepd sensor 192.168.1.201 show")]
-    Show,
+  sweepd sensor 192.168.1.201 show
+  sweepd sensor 192.168.1.201 show --json")]
+    Show {
+        /// One JSON object on standard output
+        #[arg(long)]
+        json: bool,
+    },
     /// Show what would be changed; with --yes change it, one setting a second, and read it back
     Set(SetArgs),
 }
@@ -104,26 +111,36 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         what: "ask the sensor",
         source,
     })?;
-    let mut command = Command {
+    let command = Command {
         at: args.at,
         interface,
-        stdout: io::stdout().lock(),
     };
     match &args.action {
-        Action::Show => command.show(),
+        Action::Show { json: true } => command.show_json(),
+        Action::Show { json: false } => command.show(),
         Action::Set(set) => command.set(set),
     }
+}
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct JsonReport {
+    address: String,
+    identity: Option<String>,
+    #[serde(flatten)]
+    settings: Settings,
+    measured_rpm: Option<f64>,
+    pps: Option<String>,
 }
 
 /// A command to one sensor.
 struct Command {
     at: PageAddress,
     interface: WebInterface,
-    stdout: io::StdoutLock<'static>,
 }
 
 impl Command {
-    fn show(&mut self) -> Result<(), CliError> {
+    fn show(&self) -> Result<(), CliError> {
         let page = self.read()?;
         let mut shown = String::new();
         if let Some(identity) = self.interface.identity() {
@@ -139,10 +156,21 @@ impl Command {
         if let Some(pps) = page.pps {
             let _ = writeln!(shown, "{:<15}{pps}", "pulse (PPS)");
         }
-        self.say(&shown)
+        print(&shown)
     }
 
-    fn set(&mut self, args: &SetArgs) -> Result<(), CliError> {
+    fn show_json(&self) -> Result<(), CliError> {
+        let page = self.read()?;
+        print_json(&JsonReport {
+            address: self.at.to_string(),
+            identity: self.interface.identity(),
+            settings: page.settings,
+            measured_rpm: page.measured_rpm,
+            pps: page.pps,
+        })
+    }
+
+    fn set(&self, args: &SetArgs) -> Result<(), CliError> {
         let wanted = args.wanted();
         if wanted == Settings::default() && !args.save {
             let what = "nothing to set: give a setting, such as --rpm 600, or --save";
@@ -168,16 +196,16 @@ impl Command {
         if !args.yes && is_work {
             shown += "nothing was changed: --yes does it\n";
         }
-        self.say(&shown)?;
+        print(&shown)?;
         if !args.yes || !is_work {
             return Ok(());
         }
         self.change(&wanted, &differences)?;
         if args.save {
             self.save()?;
-            return self.say("saved: it starts like this\n");
+            return print("saved: it starts like this\n");
         }
-        self.say("done, until it loses power: --save keeps it\n")
+        print("done, until it loses power: --save keeps it\n")
     }
 
     /// Sets one after the other, and reads them back.
@@ -260,12 +288,6 @@ impl Command {
                  interface: it is set over its serial port"
             ))
         })
-    }
-
-    fn say(&mut self, text: &str) -> Result<(), CliError> {
-        self.stdout
-            .write_all(text.as_bytes())
-            .map_err(CliError::Stdout)
     }
 
     fn error(&self, what: impl std::fmt::Display) -> CliError {

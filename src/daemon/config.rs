@@ -22,7 +22,7 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 
 pub use changes::{Change, Effect};
-pub use error::{ConfigError, Problems};
+pub use error::{ConfigError, ProblemReport, Problems};
 pub use keys::example;
 
 use crate::judge::losses::Limits;

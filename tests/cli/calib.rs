@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use serde_json::{Value, json};
 use sweepd::sensor::{Beam, Calibration, Model, ModelExt, ros_yaml, stream};
 use sweepd::wire::hdl64::{BEAMS, Series};
 
@@ -78,6 +79,23 @@ fn an_hdl64e_gives_its_calibration() {
         ["0", "0", "2.0000", "-3.7500", "1.2000"]
     );
     assert_eq!(shown.lines().count(), 4 + 64);
+    let shown = sweepd(&["calib", "show", "--json", out.to_str().unwrap()]).done();
+    let shown: Value = serde_json::from_str(&shown).unwrap();
+    assert_eq!(
+        (&shown["distance_unit_m"], &shown["models"]),
+        (&json!(0.002), &json!(["HDL-64E S2", "HDL-64E S3"]))
+    );
+    let beams = shown["beams"].as_array().unwrap();
+    assert_eq!((beams.len(), &beams[0]["channel"]), (64, &json!(0)));
+    for (key, value) in [
+        ("elevation_deg", 2.0),
+        ("rotation_deg", -3.75),
+        ("distance_offset_m", 1.2),
+        ("vertical_offset_m", 0.21),
+        ("horizontal_offset_m", 0.026),
+    ] {
+        assert_eq!(beams[0][key], json!(value), "{key}");
+    }
 }
 
 #[test]
@@ -125,6 +143,26 @@ fn calibrations_that_differ_are_reported_beam_by_beam() {
         "b.yaml",
         ros_yaml::emit(&Calibration::new(beams, 0.002).unwrap()),
     );
+    let ran = sweepd(&[
+        "calib",
+        "diff",
+        "--json",
+        a.to_str().unwrap(),
+        b.to_str().unwrap(),
+    ]);
+    assert_eq!((ran.code, &ran.stderr[..]), (1, ""));
+    let told: Value = serde_json::from_str(&ran.stdout).unwrap();
+    assert_eq!(told["beams"], json!([64, 64]));
+    let found = told["differences"].as_array().unwrap();
+    let found: Vec<_> = found
+        .iter()
+        .map(|one| (&one["channel"], &one["quantity"], &one["unit"]))
+        .collect();
+    let expected = [
+        (&json!(3), &json!("rotation"), &json!("degrees")),
+        (&json!(41), &json!("vertical offset"), &json!("m")),
+    ];
+    assert_eq!(found, expected);
     let ran = diff(&a, &b);
     assert_eq!((ran.code, &ran.stderr[..]), (1, ""));
     let lines: Vec<Vec<&str>> = ran

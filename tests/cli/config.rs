@@ -1,5 +1,7 @@
 //! `sweepd config`: what a configuration comes to, and what is wrong with one.
 
+use serde_json::{Value, json};
+
 use super::{Folder, Ran, command, sweepd};
 
 const TWO: &str = r#"
@@ -94,6 +96,58 @@ fn check_says_what_will_run_and_what_memory_it_takes() {
     let most: f64 = most.parse().unwrap();
     assert!((most - least - objects).abs() < 0.15, "{told}");
     assert!(rest.contains(" free in /dev/shm"), "{told}");
+}
+
+#[test]
+fn check_says_the_same_to_programs() {
+    let folder = Folder::new("config-json");
+    let file = folder.write("robot.toml", TWO);
+    let told = sweepd(&["config", "check", "--json", file.to_str().unwrap()]).done();
+    let told: Value = serde_json::from_str(&told).unwrap();
+    let [roof, rear] = &told["sensors"].as_array().unwrap()[..] else {
+        panic!("{told}")
+    };
+    assert_eq!(
+        (
+            &told["http"],
+            &told["warnings"],
+            &told["record"]["rotate_mb"]
+        ),
+        (&Value::Null, &json!([]), &json!(500.0))
+    );
+    assert_eq!(
+        roof["settings"],
+        json!({"model": "hdl64e-s3", "returns": "dual", "max_consumers": 2, "segment.max_range_m": 80})
+    );
+    for (key, value) in [
+        ("name", json!("rear")),
+        ("address", json!("192.168.1.202:2368")),
+        ("port", json!(2369)),
+        ("position_port", json!(8308)),
+        ("model", json!("vlp16")),
+        ("returns", json!("single")),
+        ("cut_azimuth_deg", json!(90.0)),
+        ("service", json!("sweepd/rear/sweep")),
+        (
+            "mount",
+            json!({"x_m": 0.0, "y_m": 0.0, "z_m": 1.5, "roll_deg": 0.0, "pitch_deg": -3.0, "yaw_deg": 0.0, "height_m": 1.2}),
+        ),
+    ] {
+        assert_eq!(rear[key], value, "{key}");
+    }
+    // 19 sweeps of a VLP-16, as in the text.
+    let bytes = 19.0 * 5632.0 * (16.0 * (9.0 + 6.4) + 24.0);
+    let pool = rear["shared_memory_bytes"][1].as_f64().unwrap();
+    assert!((pool / bytes - 1.0).abs() < 0.1, "{rear}");
+
+    let file = folder.write("robot.toml", TWO.replace("port = 2369", "port = 0"));
+    let ran = sweepd(&["config", "check", "--json", file.to_str().unwrap()]);
+    assert_eq!(ran.code, 78);
+    let told: Value = serde_json::from_str(&ran.stdout).unwrap();
+    assert_eq!(
+        told["problems"],
+        json!([{"line": 13, "column": 8, "what": "`port` cannot be 0", "expected": "expected 1 to 65535", "cure": null}])
+    );
 }
 
 /// Of a line such as `shared memory 97.9 MiB: 11 sweeps of 8.9 MiB`, the first and the last number.

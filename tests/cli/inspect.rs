@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use serde_json::{Value, json};
+
 use crate::common::data_dir;
 use crate::{Folder, fixture, inspect, made, sweepd};
 use sweepd::sensor::Model;
@@ -53,6 +55,76 @@ fn a_capture_is_described_in_full() {
         (row(&text, "return mode"), row(&text, "GPS")),
         ("dual", "PPS not reported by this model, no sentence")
     );
+}
+
+/// The numbers of the text, and those of `replay --json` by the same names.
+#[test]
+fn programs_get_the_same() {
+    let json = |command: &str, file: &str| -> Vec<Value> {
+        let file = fixture(file);
+        let told = sweepd(&[command, file.to_str().unwrap(), "--json"]).done();
+        let values = serde_json::Deserializer::from_str(&told).into_iter();
+        values.map(Result::unwrap).collect()
+    };
+    let [told] = &json("inspect", "street_vlp16_losses.pcap")[..] else {
+        panic!("one object")
+    };
+    let sensor = &told["sensors"][0];
+    for (key, value) in [
+        ("sensor", json!("192.168.1.201:2368")),
+        ("source", json!("192.168.1.201:2368")),
+        ("port", json!(2368)),
+        ("model", json!("VLP-16")),
+        ("return_modes", json!(["strongest"])),
+        ("packets", json!(286)),
+        ("lost_packets", json!(18)),
+        ("reordered", json!(2)),
+        ("duplicates", json!(2)),
+        ("malformed", json!(0)),
+        ("fault", Value::Null),
+        ("left_out_deg", Value::Null),
+        ("dark_beams", json!([])),
+        ("unit", Value::Null),
+    ] {
+        assert_eq!(sensor[key], value, "{key}");
+    }
+    let rpm = sensor["rpm"].as_f64().unwrap();
+    assert!((rpm - 600.0).abs() < 1.0, "{rpm}");
+    let height_m = sensor["floor"]["height_m"].as_f64().unwrap();
+    assert!((1.0..2.5).contains(&height_m), "{sensor}");
+    let summary = &json("replay", "street_vlp16_losses.pcap").pop().unwrap()["summary"];
+    for key in [
+        "model",
+        "model_basis",
+        "lost_packets",
+        "reordered",
+        "duplicates",
+        "return_modes",
+    ] {
+        assert_eq!(sensor[key], summary["sensors"][0][key], "{key}");
+    }
+    for key in [
+        "name",
+        "records",
+        "datagrams",
+        "other_traffic",
+        "breaks_off",
+    ] {
+        assert_eq!(told["capture"][key], summary["capture"][key], "{key}");
+    }
+    let position = &told["positions"][0];
+    assert_eq!(
+        (
+            &position["address"],
+            &position["pps"],
+            &position["sentence_valid"]
+        ),
+        (&json!("192.168.1.201"), &json!("locked"), &json!(true))
+    );
+    // 2026-05-04 10:17:23 UTC, by date(1).
+    assert_eq!(position["utc_ns"], json!(1_777_889_843_000_000_000_i64));
+    let unit = &json("inspect", "street_hdl64e_s3.pcap.gz")[0]["sensors"][0]["unit"];
+    assert_eq!(unit["series"], json!("S3"), "{unit}");
 }
 
 #[test]

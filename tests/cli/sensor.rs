@@ -2,6 +2,8 @@
 
 use std::time::{Duration, Instant};
 
+use serde_json::{Value, json};
+
 use crate::common::free_port;
 use crate::common::web_page::{Fault, WebPage};
 use crate::{Ran, sweepd};
@@ -42,6 +44,24 @@ turns at       599 rpm
 pulse (PPS)    Absent
 ";
     assert_eq!(sensor(&page, &["show"]).done(), expected);
+    let shown: Value = serde_json::from_str(&sensor(&page, &["show", "--json"]).done()).unwrap();
+    assert_eq!(
+        shown,
+        json!({
+            "address": page.address(),
+            "identity": "VLP-16, serial 11002162040404",
+            "laser": "on",
+            "returns": "strongest",
+            "rpm": 600,
+            "fov": "0-359",
+            "phase_lock": "off",
+            "position_port": 8308,
+            "data_port": 2368,
+            "host": "255.255.255.255",
+            "measured_rpm": 599.0,
+            "pps": "Absent",
+        })
+    );
     assert_eq!(page.forms(), []);
 }
 
@@ -132,7 +152,8 @@ fn bad_values_are_refused_before_anything_is_sent() {
         );
     }
     let nothing = sensor(&page, &["set", "--yes"]);
-    assert!(failed(&nothing).contains("nothing to set: give a setting"));
+    nothing.says(&["nothing to set: give a setting"]);
+    assert_eq!(nothing.code, 2);
     assert_eq!(page.connections(), 0);
     let ran = sweepd(&["sensor", "255.255.255.255", "show"]);
     assert_eq!(ran.code, 2);

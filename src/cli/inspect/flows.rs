@@ -4,6 +4,7 @@
 use std::collections::HashMap;
 use std::net::SocketAddr;
 
+use super::report::{FlowReport, per_s};
 use crate::strangers::Form;
 use crate::text::{count_of, rate};
 use sweepd_core::wire::Datagram;
@@ -49,11 +50,31 @@ impl Flows {
         flow.form.meet(datagram.payload);
     }
 
-    /// A line for each of the largest flows, and one for the rest.
-    pub fn lines(&self) -> Vec<String> {
+    /// The largest first.
+    fn sorted(&self) -> Vec<(&(SocketAddr, u16), &Flow)> {
         let mut flows: Vec<(&(SocketAddr, u16), &Flow)> = self.flows.iter().collect();
         // The address last, for a stable order.
         flows.sort_by_key(|&(key, flow)| (std::cmp::Reverse(flow.datagrams), *key));
+        flows
+    }
+
+    /// All of them for programs, but for those beyond [`MAX_FLOWS`].
+    pub fn reports(&self) -> Vec<FlowReport> {
+        let flows = self.sorted().into_iter();
+        let reports = flows.map(|(&(source, port), flow)| FlowReport {
+            source,
+            port,
+            datagrams: flow.datagrams,
+            datagrams_per_s: per_s(flow.datagrams, flow.first_ns, flow.last_ns),
+            form: flow.form.to_string(),
+            lidar: flow.form.lidar(source.port(), port),
+        });
+        reports.collect()
+    }
+
+    /// A line for each of the largest flows, and one for the rest.
+    pub fn lines(&self) -> Vec<String> {
+        let flows = self.sorted();
         let shown = flows.len().min(SHOWN);
         let mut lines: Vec<String> = flows[..shown]
             .iter()

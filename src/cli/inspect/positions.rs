@@ -1,5 +1,9 @@
 //! GPS state and health of a sensor, from position packets.
 
+use std::net::IpAddr;
+
+use super::report::{PositionReport, per_s};
+use crate::cli::output::rounded;
 use crate::gps;
 use crate::text::{count_of, rate, row, utc_text};
 use sweepd_core::assemble::{GpsDoubt, GpsTime, Heard};
@@ -52,6 +56,29 @@ impl Positions {
         }
         if let Some(board) = position.board {
             self.board_c = Some((board.top_c, board.bottom_c));
+        }
+    }
+
+    /// What they say, for programs.
+    pub(super) fn report(&self, address: IpAddr) -> PositionReport {
+        let sentence = self.sentence.as_deref();
+        let rmc = sentence.and_then(|sentence| Rmc::parse(sentence).ok());
+        let position_deg = rmc.as_ref().and_then(|rmc| rmc.position_deg);
+        let doubt = self.doubt.as_ref().and_then(gps::capture_finding);
+        PositionReport {
+            address,
+            position_packets: self.packets,
+            packets_per_s: per_s(self.packets, self.first_ns, self.last_ns),
+            pps: self.pps.map(|pps| pps.to_string()),
+            pps_locked_packets: self.locked,
+            sentence: self.sentence.clone(),
+            sentence_valid: rmc.as_ref().map(|rmc| rmc.valid),
+            utc_ns: rmc.as_ref().map(|rmc| rmc.utc_ns),
+            position_deg: position_deg
+                .map(|deg| <[f64; 2]>::from(deg).map(|deg| rounded(deg, 1e7))),
+            time_doubt: doubt.map(|doubt| doubt.to_string()),
+            boards_c: self.board_c.map(<[i8; 2]>::from),
+            inertial_c: self.chips_c.map(|celsius| rounded(celsius, 10.0)),
         }
     }
 

@@ -1,5 +1,6 @@
 //! Rows for the status of an HDL-64E.
 
+use super::report::UnitReport;
 use crate::text::{grouped, row};
 use sweepd_core::wire::hdl64::{DUMP_LEN, DumpState, Status};
 
@@ -32,6 +33,29 @@ pub fn describe(status: &Status, text: &mut String) {
         );
     }
     row(text, "calibration", calibration(status));
+}
+
+/// The same for programs.
+pub fn report(status: &Status) -> Option<UnitReport> {
+    if status.known() == 0 {
+        return None;
+    }
+    let warnings = status.series().zip(status.warnings());
+    Some(UnitReport {
+        series: status.series().map(|series| series.to_string()),
+        firmware: status.firmware(),
+        temperature_c: status.temperature_c(),
+        rpm: status.rpm(),
+        fov_deg: status
+            .fov_cdeg()
+            .map(|edges| edges.map(|cdeg| f64::from(cdeg) / 100.0)),
+        return_mode: status.return_mode().map(|mode| mode.name()),
+        life_hours: status.life_hours(),
+        warnings: warnings.map_or(Vec::new(), |(series, warnings)| {
+            warnings.faults(series).collect()
+        }),
+        calibration: calibration(status),
+    })
 }
 
 /// Identity and health of the unit.

@@ -1,5 +1,7 @@
 //! The turns of a sensor, decoded to find dark beams and the floor.
 
+use serde_json::Value;
+
 use crate::text::row;
 use crate::{beams, floor};
 use sweepd_core::buffers::{HeapBuffers, Memory};
@@ -54,11 +56,25 @@ impl Turns {
         }
     }
 
+    /// The beams that are dark at the end.
+    pub fn dark_beams(&self) -> Vec<DarkBeam> {
+        self.pipeline.status().dark_beams.iter().collect()
+    }
+
+    /// Names of what the sensor did not see by.
+    pub fn eye(&self) -> Vec<&'static str> {
+        eye_faults(self.flags).map(|fault| fault.name).collect()
+    }
+
+    /// The floor, for programs.
+    pub fn floor(&self) -> Value {
+        floor::json(&self.floor.sight(), &self.said.unwrap_or_default())
+    }
+
     /// Adds rows for the beams that are dark at the end, for what the sensor did not see, and for the
     /// floor.
     pub fn describe(&self, text: &mut String) {
-        let dark: Vec<DarkBeam> = self.pipeline.status().dark_beams.iter().collect();
-        if let Some(sentence) = beams::sentence(&dark) {
+        if let Some(sentence) = beams::sentence(&self.dark_beams()) {
             row(text, "dark beams", sentence);
         }
         for fault in eye_faults(self.flags) {

@@ -6,6 +6,7 @@ use std::ops::Range;
 use std::path::PathBuf;
 
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
+use serde::Serialize;
 
 use crate::text::visible;
 
@@ -74,6 +75,16 @@ impl Problem {
     /// A slip in the syntax, as the TOML reader found it.
     pub fn of_toml(error: &toml::de::Error) -> Self {
         let at = error.span().unwrap_or(0..0);
+        // Its words for `port =` without a value.
+        if error.message() == "string values must be quoted, expected literal string"
+            && at.is_empty()
+        {
+            return Self::new(
+                at,
+                "a value is missing",
+                "expected one behind the equals sign",
+            );
+        }
         match error.message().split_once(", expected ") {
             Some((title, expected)) => Self::new(at, title, format!("expected {expected}")),
             None => Self::new(at, error.message(), ""),
@@ -96,6 +107,21 @@ impl Problem {
     }
 }
 
+/// A problem, for programs.
+#[derive(Clone, Debug, Serialize)]
+pub struct ProblemReport<'a> {
+    /// Its line, from 1.
+    pub line: usize,
+    /// Its first character in the line, from 1.
+    pub column: usize,
+    /// What is wrong.
+    pub what: &'a str,
+    /// What was expected there.
+    pub expected: Option<&'a str>,
+    /// What to do.
+    pub cure: Option<&'a str>,
+}
+
 impl Problems {
     pub(super) fn new(file: String, text: &str, mut problems: Vec<Problem>) -> Self {
         problems.sort_by_key(|problem| problem.at.start);
@@ -108,12 +134,24 @@ impl Problems {
 
     /// The lines that are to blame, from 1; one for each problem.
     pub fn lines(&self) -> Vec<usize> {
-        let mut lines = Vec::new();
+        self.reports().iter().map(|report| report.line).collect()
+    }
+
+    /// All of them, for programs.
+    pub fn reports(&self) -> Vec<ProblemReport<'_>> {
+        let mut reports = Vec::new();
         for problem in &self.problems {
-            let before = self.text.bytes().take(problem.at.start);
-            lines.push(1 + before.filter(|&byte| byte == b'\n').count());
+            let before = self.text.get(..problem.at.start).unwrap_or(&self.text);
+            let beside = before.rsplit('\n').next().unwrap_or_default();
+            reports.push(ProblemReport {
+                line: 1 + before.matches('\n').count(),
+                column: 1 + beside.chars().count(),
+                what: &problem.title,
+                expected: Some(&problem.expected[..]).filter(|expected| !expected.is_empty()),
+                cure: problem.cure.as_deref(),
+            });
         }
-        lines
+        reports
     }
 
     /// How many there are.
