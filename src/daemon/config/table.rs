@@ -11,6 +11,7 @@ use toml::de::{DeTable, DeValue};
 
 use super::error::Problem;
 use super::key::Wrong;
+use super::keys::SENSOR_TABLES;
 use crate::suggest::suggestion;
 
 /// What is wrong with a file.
@@ -157,6 +158,18 @@ impl<'a, 'p, 't> TableReader<'a, 'p, 't> {
         for (key, _) in &self.table {
             let title = format!("unknown key `{}`", key.get_ref());
             self.problems.add(key.span(), title, one_of(&self.known));
+            // At the top of a file, what belongs to a sensor.
+            let mut tables = SENSOR_TABLES.iter().filter(|table| !table.name.is_empty());
+            if self.known.contains(&"sensor")
+                && tables.any(|table| table.name == key.get_ref())
+                && let Some(problem) = self.problems.problems.last_mut()
+            {
+                let cure = format!(
+                    "write `[sensor.{}]`, below the [[sensor]] that it is of",
+                    key.get_ref()
+                );
+                problem.cure = Some(cure);
+            }
         }
     }
 }

@@ -552,6 +552,16 @@ fn keys_types_and_values_are_all_shown_at_once() {
     ] {
         assert!(message.contains(part), "no {part:?} in\n{message}");
     }
+    let (_, message) = bad("[segment]\nmin_points = 3\n");
+    assert!(
+        message.contains("help: write `[sensor.segment]`, below the [[sensor]]"),
+        "{message}"
+    );
+    let (lines, message) = bad("[[sensor]]\nport = \n");
+    assert!(
+        lines == [2] && message.contains("a value is missing"),
+        "{message}"
+    );
     // Hundreds end soon, and say so of as many as are read.
     let many: String = (0..500).map(|number| format!("k{number} = 1\n")).collect();
     assert_eq!(bad(&(many + &roof(""))).0.len(), 64);
