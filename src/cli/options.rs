@@ -1,11 +1,13 @@
 //! Options that several subcommands share.
 
+use std::ffi::OsStr;
 use std::net::Ipv4Addr;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::str::FromStr;
 
 use clap::ValueEnum;
+use clap::builder::{PossibleValue, TypedValueParser};
 
 use crate::admission::{SensorFilter, SensorFilterError};
 use crate::cli::error::read_calibration;
@@ -22,8 +24,34 @@ use sweepd_core::sensor::model::UnknownModel;
 use sweepd_core::sweep::layout::ReturnChoice;
 use sweepd_core::wire::{DATA_PORT, POSITION_PORT};
 
-/// A model, by its flag or its name.
-pub fn model(text: &str) -> Result<Model, String> {
+/// Reads a model by its flag or its name; help and completions have the flags.
+pub fn model() -> impl TypedValueParser<Value = Model> {
+    ModelParser
+}
+
+#[derive(Clone)]
+struct ModelParser;
+
+impl TypedValueParser for ModelParser {
+    type Value = Model;
+
+    fn parse_ref(
+        &self,
+        command: &clap::Command,
+        argument: Option<&clap::Arg>,
+        value: &OsStr,
+    ) -> Result<Model, clap::Error> {
+        let read: fn(&str) -> Result<Model, String> = read_model;
+        read.parse_ref(command, argument, value)
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        let values = Model::ALL.map(|model| PossibleValue::new(model.flag()).help(model.name()));
+        Some(Box::new(values.into_iter()))
+    }
+}
+
+fn read_model(text: &str) -> Result<Model, String> {
     text.parse().map_err(|error: UnknownModel| {
         match nearest(
             &text.to_ascii_lowercase(),
@@ -112,7 +140,7 @@ pub struct SensorOptions {
     /// Model: vlp16, puck-lite, puck-hires, vlp32c (VLP-32MR too), hdl32e, hdl64e-s2 (S2.1 too),
     /// hdl64e-s3 or vls128 [default: detected from the packets: factory bytes, heads, turn and
     /// period]
-    #[arg(long, value_name = "MODEL", value_parser = model)]
+    #[arg(long, value_name = "MODEL", value_parser = model(), hide_possible_values = true)]
     pub model: Option<Model>,
     /// Calibration of the unit, db.xml or ROS YAML [default: the model's own table; of an HDL-64E,
     /// the one in its packets]

@@ -15,6 +15,7 @@ use self::table::Table;
 use super::output::{LatencyUs, OutputOptions, Outputs, SweepId, tell_written};
 use super::publish::RootOptions;
 use super::signals::end_flag;
+use super::stream::{ended, print, printed};
 use super::{CliError, complain};
 use crate::daemon::losses::{Losses, Turn};
 use crate::daemon::state::PATIENCE;
@@ -53,6 +54,7 @@ A line a second, or less for the last one:
 
 Examples:
   sweepd watch                          the only sensor there is
+  sweepd watch --list                   which there are
   sweepd watch roof --json > sweeps.jsonl
   sweepd watch roof --png out --sweeps 10
   sweepd watch roof --latency --sweeps 1000")]
@@ -60,6 +62,9 @@ pub struct Args {
     /// Name of the sensor [default: the only one; of several, all are listed]
     #[arg(value_name = "NAME")]
     name: Option<String>,
+    /// Print the names of the sensors that are shared, a line each, and end
+    #[arg(long, conflicts_with = "name")]
+    list: bool,
     /// End after this number of sweeps
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     sweeps: Option<u64>,
@@ -90,6 +95,10 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         source,
     })?;
     let domain = args.root.domain();
+    if args.list {
+        let names = Client::sensors(&domain)?.into_iter();
+        return print(names.map(|name| name + "\n").collect::<String>());
+    }
     let Some(name) = args.find(&domain, &over)? else {
         return Ok(());
     };
@@ -114,6 +123,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         eye: 0,
     }
     .run(&over)
+    .map_err(|error| ended(error, &args.output.places()))
 }
 
 /// When a sweep came.
@@ -151,9 +161,7 @@ impl Watch<'_> {
         tell_written(self.outputs.finish()?);
         ended?;
         if self.args.latency {
-            self.latencies
-                .print(&mut io::stdout().lock())
-                .map_err(CliError::Stdout)?;
+            printed(self.latencies.print(&mut io::stdout().lock()))?;
         }
         Ok(())
     }
@@ -175,10 +183,10 @@ impl Watch<'_> {
                 is_noted = false;
                 self.seen += 1;
                 let view = sweep.view();
-                let view = view.map_err(|error| CliError::Usage(error.to_string()))?;
+                let view = view.map_err(|error| CliError::Failed(error.to_string()))?;
                 self.sweep(view, receipt)?;
             } else if self.args.is_over(waited) {
-                return Err(CliError::Usage(self.nothing(waited)));
+                return Err(CliError::Failed(self.nothing(waited)));
             } else if waited > Duration::from_secs(2) && !is_noted {
                 let nothing = self.nothing(waited);
                 complain("note", format_args!("{nothing}; waiting for it"));
@@ -230,7 +238,7 @@ impl Watch<'_> {
                 "sweep {} is of model {}, which this version does not know",
                 header.sequence, header.model
             );
-            return Err(CliError::Usage(text));
+            return Err(CliError::Failed(text));
         };
         let id = SweepId { sensor: 0, model };
         let files = self.outputs.encoder().encode(id, sweep);
@@ -367,7 +375,7 @@ impl Args {
             }
             let root = domain.root().display();
             if self.is_over(begun.elapsed()) {
-                return Err(CliError::Usage(format!(
+                return Err(CliError::Failed(format!(
                     "no sensor is published in {root}; is the daemon running?"
                 )));
             }

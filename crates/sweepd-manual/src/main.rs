@@ -9,6 +9,7 @@ use std::{fs, io};
 
 use clap::{Command, CommandFactory as _, Parser};
 use clap_complete::Shell;
+use sweepd::cli::completions;
 use sweepd_tools::commands;
 
 /// Writes the manual pages and shell completions of sweepd, its tools and sweepd-ros2
@@ -47,13 +48,13 @@ fn write(folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
-fn write_command(mut command: Command, folder: &Path) -> io::Result<()> {
+fn write_command(command: Command, folder: &Path) -> io::Result<()> {
     fs::create_dir_all(folder)?;
     let pages = without_help(command.clone());
     clap_mangen::generate_to(pages.version(env!("CARGO_PKG_VERSION")), folder)?;
-    let name = command.get_name().to_owned();
     for shell in [Shell::Bash, Shell::Zsh, Shell::Fish] {
-        clap_complete::generate_to(shell, &mut command, &name, folder)?;
+        let (name, script) = completions::script(shell, command.clone());
+        fs::write(folder.join(name), script)?;
     }
     Ok(())
 }

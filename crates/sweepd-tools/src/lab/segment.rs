@@ -41,7 +41,7 @@ pub struct Args {
     format: Option<Format>,
     /// For clouds in any order: each point goes to the beam of this model that passes it nearest:
     /// vlp16, puck-lite, puck-hires, vlp32c, hdl32e or vls128
-    #[arg(long, value_name = "MODEL", value_parser = model)]
+    #[arg(long, value_name = "MODEL", value_parser = model(), hide_possible_values = true)]
     model: Option<Model>,
     /// The same with the beams of a unit: its calibration, db.xml or ROS YAML; an HDL-64E needs one
     #[arg(long, value_name = "FILE", conflicts_with = "rows_table")]

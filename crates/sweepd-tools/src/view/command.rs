@@ -44,7 +44,7 @@ pub struct Args {
     source: Option<PathBuf>,
     /// A simulated sensor of this model, instead of a SOURCE; it is mounted as --height, --pitch and
     /// --roll say
-    #[arg(long, value_name = "MODEL", value_parser = model, conflicts_with = "source")]
+    #[arg(long, value_name = "MODEL", value_parser = model(), hide_possible_values = true, conflicts_with = "source")]
     simulate: Option<Model>,
     /// Scene of the simulated sensor
     #[arg(long, default_value = "street", value_parser = scene(), requires = "simulate")]

@@ -2,10 +2,13 @@
 
 use std::fmt::Write as _;
 use std::fs;
-use std::process::Command;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
 
-use crate::common::{program, root};
-use crate::{Folder, Ran, command};
+use crate::common::{program, root, temp_domain};
+use crate::{Folder, Ran, command, sweepd};
+use sweepd_lab::testkit::tool;
 
 const HEAD: &str = "# Commands\n\nWhat `--help` says of each command. `SWEEPD_WRITE_PAGES=1 cargo test -p sweepd-tools --test cli \
                     commands_page` writes this page.\n";
@@ -47,16 +50,75 @@ fn the_commands_page_is_what_help_says() {
     );
 }
 
-#[test]
-fn bash_completes_a_subcommand_and_its_options() {
-    let script = r#"source <("$0" completions bash)
-        COMP_WORDS=(sweepd rep) COMP_CWORD=1; _sweepd sweepd rep sweepd; echo "${COMPREPLY[@]}"
-        COMP_WORDS=(sweepd replay --pn) COMP_CWORD=2; _sweepd sweepd --pn replay; echo "${COMPREPLY[@]}""#;
+/// What bash offers for a line whose last word is under way, as its function for `sweepd` does.
+fn completed(line: &[&str], root: &Path) -> Vec<String> {
+    let script = r#"source <(sweepd completions bash)
+        function=$(complete -p sweepd | sed 's/.* -F \([^ ]*\) .*/\1/')
+        COMP_WORDS=(sweepd "$@") COMP_CWORD=$#
+        "$function" sweepd "${COMP_WORDS[-1]}" "${COMP_WORDS[-2]}"
+        printf '%s\n' "${COMPREPLY[@]}""#;
     let mut bash = Command::new("bash");
-    let output = bash.args(["-ec", script, program().to_str().unwrap()]);
-    let output = output.output().unwrap();
-    let completed = String::from_utf8_lossy(&output.stdout);
-    assert_eq!(completed, "replay\n--png\n", "{output:?}");
+    bash.args(["-c", script, "bash"]).args(line);
+    let path = std::env::var("PATH").unwrap();
+    let programs = program().parent().unwrap().display().to_string();
+    bash.env("PATH", format!("{programs}:{path}"))
+        .env("SWEEPD_ROOT", root);
+    let output = bash.output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    let text = String::from_utf8(output.stdout).unwrap();
+    text.lines().map(str::to_owned).collect()
+}
+
+#[test]
+fn bash_completes_commands_options_models_scenes_and_sensors() {
+    tool("sweepd-view");
+    let own = temp_domain();
+    for (line, expected) in [
+        (&["rep"][..], &["replay"][..]),
+        (&["replay", "--pn"], &["--png"]),
+        (&["replay", "--model", "hdl64"], &["hdl64e-s2", "hdl64e-s3"]),
+        (&["mask", "--model", "vlp"], &["vlp16", "vlp32c"]),
+        (&["simulate", "--model", "vls"], &["vls128"]),
+        (&["simulate", "--scene", "pa"], &["parking-lot"]),
+        (
+            &["view", "--simulate", "puck"],
+            &["puck-lite", "puck-hires"],
+        ),
+        (&["watch", "ro"], &[""]),
+    ] {
+        assert_eq!(completed(line, own.root()), expected, "{line:?}");
+    }
+    let root = own.root().to_str().unwrap();
+    let capture = "pcap_fixtures/street_vlp16_losses.pcap";
+    let words = [
+        "replay",
+        capture,
+        "--publish=roof",
+        "--loop",
+        "--root",
+        root,
+    ];
+    let mut shares = command(&words);
+    let mut shares = shares
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let list = ["watch", "--list", "--root", root];
+    let begun = Instant::now();
+    while sweepd(&list).done() != "roof\n" {
+        assert!(begun.elapsed() < Duration::from_secs(20));
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    for line in [
+        &["watch", "ro"][..],
+        &["record", "--from", ""],
+        &["view", "ro"],
+    ] {
+        assert_eq!(completed(line, own.root()), ["roof"], "{line:?}");
+    }
+    shares.kill().unwrap();
+    shares.wait().unwrap();
 }
 
 /// The commands of a page, as they are on lines of their own, with what the block of text below each

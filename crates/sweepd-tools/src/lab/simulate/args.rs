@@ -60,7 +60,7 @@ pub struct Args {
     /// Model: vlp16, puck-lite, puck-hires, vlp32c, hdl32e, hdl64e-s2 (S2.1 too), hdl64e-s3 or
     /// vls128; several times for several sensors in one scene, with the addresses 192.168.1.201,
     /// 192.168.1.202, ...
-    #[arg(long = "model", value_name = "MODEL", required_unless_present = "from_cloud", value_parser = model)]
+    #[arg(long = "model", value_name = "MODEL", required_unless_present = "from_cloud", value_parser = model(), hide_possible_values = true)]
     pub(super) models: Vec<Model>,
     /// Scene; all sensors stand in the same one
     #[arg(long, default_value = "street", value_parser = scene())]
