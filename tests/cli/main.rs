@@ -27,6 +27,7 @@ mod publish;
 mod record;
 mod segments;
 mod sensor;
+mod shell;
 mod to_udp;
 mod watch;
 
