@@ -7,6 +7,8 @@
 //! under `CI=true` they fail.
 
 mod common;
+#[path = "consumers/events.rs"]
+mod events;
 #[path = "consumers/fields.rs"]
 mod fields;
 #[path = "consumers/hostile.rs"]
@@ -25,6 +27,8 @@ mod programs;
 mod python;
 #[path = "consumers/refusals.rs"]
 mod refusals;
+#[path = "consumers/sending.rs"]
+mod sending;
 #[allow(dead_code)]
 #[path = "../crates/sweepd-sweep/tests/fields/source.rs"]
 mod source;

@@ -4,6 +4,7 @@ use std::ffi::{OsStr, OsString};
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::OnceLock;
 use std::time::Duration;
 
 use sweepd::client::Client;
@@ -137,65 +138,6 @@ fn the_python_consumer_prints_a_line_a_sweep_and_ends_at_once() {
         check_line(sweep, &format!("{name}: 1 Hz, {rest}"));
     });
     interrupt(&mut consumer);
-}
-
-/// The box of `nearest.py`.
-const BOX_M: [[f64; 3]; 2] = [[-1.0, 0.5, 0.05], [1.0, 5.0, 2.0]];
-
-#[test]
-#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
-fn the_nearest_obstacle_is_in_the_box_and_the_frame_of_the_robot() {
-    let own = temp_domain();
-    let script = of_project("examples/python/nearest.py");
-    let root = format!("SWEEPD_ROOT={}", own.root().display());
-    let python = python_with_numpy();
-    let args = [root.as_ref(), &*python, script.as_os_str(), "roof".as_ref()];
-    let consumer = Talk::start("env".as_ref(), &args);
-    let mut loans = loans(&own);
-    for _ in 0..1000 {
-        if loans.status().consumers() == 1 {
-            break;
-        }
-        publish(&mut loans, 0);
-        std::thread::sleep(Duration::from_millis(20));
-    }
-    let mut lines = 0;
-    Source::StreetVlp16Dual.play(loans, |mut slot| {
-        let sweep = SweepMut::open(slot.as_mut()).unwrap();
-        sweep.header.position_m = [0.5, -8.0, 1.9];
-        (sweep.header.yaw_rad, sweep.header.pitch_rad) = (1.0, 0.1);
-        let view = sweep.as_ref();
-        let mut mount = Pose::of_mount(view.header);
-        // Its z is from the floor.
-        let floor_m = mount.position_m[2] - f64::from(view.header.height_m);
-        mount.position_m[2] -= floor_m.min(0.0);
-        let mut nearest = [f64::INFINITY; 3];
-        for pixel in 0..view.range.len() {
-            let place = (pixel % view.rows(), pixel / view.rows());
-            if let [Some(one), _] = view.pixel(place.0, place.1)
-                && one.label >= 2
-            {
-                let point = mount.apply(one.point_m);
-                let is_within =
-                    (0..3).all(|axis| (BOX_M[0][axis]..BOX_M[1][axis]).contains(&point[axis]));
-                if is_within && length(point) < length(nearest) {
-                    nearest = point;
-                }
-            }
-        }
-        let [x, y, z] = nearest;
-        let expected = format!(
-            "{}: {x:.2} m right, {y:.2} m ahead, {z:.2} m up",
-            view.header.sequence
-        );
-        slot.publish().unwrap();
-        // The first sweep is too short to have anything in the box.
-        if x.is_finite() {
-            assert_eq!(consumer.line(), expected);
-            lines += 1;
-        }
-    });
-    assert!(lines >= 3);
 }
 
 fn length(point: [f64; 3]) -> f64 {
@@ -357,28 +299,29 @@ fn stop_is_said_of_a_sensor_that_does_not_see_and_of_another() {
     }
 }
 
-/// The line at the top of examples/CMakeLists.txt, in a folder as cargo leaves it.
-fn cpp_examples(test: &str) -> PathBuf {
-    let (build, library) = (folder(test).join("build"), library());
-    let mut prefix = OsString::from("-DCMAKE_PREFIX_PATH=");
-    // As it is written there: from the folder of the project, wherever a shell says that it is.
-    prefix.push(library.strip_prefix(of_project("")).unwrap_or(library));
-    let run = |args: &[&OsStr]| {
-        let mut cmake = Command::new("cmake");
-        let output = cmake.args(args).current_dir(of_project("")).env("PWD", "/");
-        let output = output.output().unwrap();
-        let said = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success() && said.is_empty(), "{said}");
-    };
-    run(&[
-        "-S".as_ref(),
-        "examples".as_ref(),
-        "-B".as_ref(),
-        build.as_ref(),
-        &prefix,
-    ]);
-    run(&["--build".as_ref(), build.as_ref()]);
-    build
+/// The programs in C++, built once as the line at the top of examples/CMakeLists.txt does, in a folder
+/// as cargo leaves it.
+pub fn cpp_examples() -> &'static Path {
+    static BUILD: OnceLock<PathBuf> = OnceLock::new();
+    BUILD.get_or_init(|| {
+        let (build, library) = (folder("cpp").join("build"), library());
+        let mut prefix = OsString::from("-DCMAKE_PREFIX_PATH=");
+        // As it is written there: from the folder of the project, wherever a shell says that it is.
+        prefix.push(library.strip_prefix(of_project("")).unwrap_or(library));
+        let made: [&[&OsStr]; 2] = [
+            &["-S", "examples", "-B"].map(OsStr::new),
+            &["--build"].map(OsStr::new),
+        ];
+        for (args, more) in made.into_iter().zip([Some(&prefix), None]) {
+            let mut cmake = Command::new("cmake");
+            cmake.args(args).arg(&build).args(more);
+            let output = cmake.current_dir(of_project("")).env("PWD", "/");
+            let output = output.output().unwrap();
+            let said = String::from_utf8_lossy(&output.stderr);
+            assert!(output.status.success() && said.is_empty(), "{said}");
+        }
+        build
+    })
 }
 
 /// Also where the host has one installed: only an empty root is searched.
@@ -402,7 +345,7 @@ fn cmake_says_where_cpp_gets_the_library_that_is_not_there() {
 #[cfg_attr(without_compilers, ignore = "no compilers")]
 fn the_cpp_consumer_prints_a_line_a_sweep_and_ends_when_nothing_comes() {
     let own = temp_domain();
-    let program = cpp_examples("cpp").join("consumer");
+    let program = cpp_examples().join("consumer");
     let args = ["roof", own.root().to_str().unwrap(), "--timeout", "1.5"].map(OsStr::new);
     let mut consumer = Talk::start(program.as_os_str(), &args);
     play_to(&consumer, &own, |sweep, line| {
@@ -445,7 +388,7 @@ fn the_cpp_consumer_prints_a_line_a_sweep_and_ends_when_nothing_comes() {
 #[cfg_attr(without_compilers, ignore = "no compilers")]
 fn the_cpp_consumer_prints_a_line_an_object() {
     let own = temp_domain();
-    let program = cpp_examples("cpp_objects").join("consumer");
+    let program = cpp_examples().join("consumer");
     let mut loans = objects::loans(&own);
     let args = ["--objects", "roof", own.root().to_str().unwrap()].map(OsStr::new);
     let consumer = Talk::start(program.as_os_str(), &args);

@@ -43,6 +43,11 @@ impl<'a> Spin<'a> {
             time_ns: 0,
         }
     }
+
+    /// What it meets from the next packet on.
+    pub fn look_at(&mut self, scene: &'a Scene) {
+        self.scene = scene;
+    }
 }
 
 impl Iterator for Spin<'_> {

@@ -1,0 +1,36 @@
+"""Records for 10 s when something comes into a box ahead of the robot: record_event.py SENSOR [SECONDS].
+
+The daemon writes event_TIME.pcap into this folder, if it may (docs/install.md), with what comes from then on.
+"""
+
+import subprocess
+import sys
+import time
+
+import sweepd
+
+# Least and greatest x (right), y (ahead) and z (up), metres. It reaches below the ground, which is no thing.
+LEAST_M, MOST_M = [-1, 0.5, -5], [1, 5, 2]
+# Fewest returns of a thing.
+RETURNS = 3
+
+sensor, *seconds = sys.argv[1:]
+client = sweepd.Client(sensor)
+try:
+    while True:
+        sweep = client.next(timeout=1.0)
+        if sweep is None:
+            print(f"nothing is heard of {sensor}", file=sys.stderr, flush=True)
+            continue
+        if sweep.header["height_m"] == 0:
+            print(f"there are no objects before the height of {sensor} is known", file=sys.stderr, flush=True)
+        things = sweep.points("robot")[sweep.label >= 2]
+        if ((things > LEAST_M) & (things < MOST_M)).all(axis=1).sum() >= RETURNS:
+            file = f"event_{time.time_ns() // 1_000_000}.pcap"
+            print(f"recording {file}", flush=True)
+            command = ["sweepd", "record", "--from", sensor, "-o", file, "--seconds", *(seconds or ["10"])]
+            # It says what goes wrong.
+            if subprocess.run(command).returncode != 0:
+                sys.exit(1)
+except KeyboardInterrupt:
+    pass

@@ -1,0 +1,215 @@
+//! The examples that tell what happens, behind a daemon and a sensor before which it happens: those in
+//! Rust, Python and C++ at once.
+
+use std::ffi::{OsStr, OsString};
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use sweepd::sensor::Model;
+use sweepd_lab::cast::{Scene, Sensor, Solid, Thing};
+
+use super::common::library::rust_example;
+use super::common::setup::{SOON, Setup};
+use super::common::{program, python_with_numpy, sweepd};
+use super::of_project;
+use super::programs::cpp_examples;
+use super::python::Talk;
+use super::sending::Sending;
+
+/// Height of the sensor over the floor and the robot's origin, metres.
+const HEIGHT_M: f64 = 1.2;
+/// Sweeps of the first scene.
+const SWEEPS: usize = 15;
+
+/// A daemon, its sensor that has seen the first scene, and an example in each language with a folder
+/// of its own, none of which has said anything.
+struct Stage {
+    sensor: Sending,
+    examples: Vec<(Talk, PathBuf)>,
+    setup: Setup,
+    _daemon: super::common::setup::Process,
+}
+
+impl Stage {
+    fn new(example: &str, args: &[&str], scenes: Vec<Vec<Solid>>) -> Self {
+        let setup = Setup::new(
+            &format!("mount = {{ z_m = {HEIGHT_M}, height_m = {HEIGHT_M} }}"),
+            "",
+        );
+        let daemon = setup.daemon();
+        let mut client = setup.client();
+        let python = of_project("examples/python").join(format!("{example}.py"));
+        let commands: [Vec<OsString>; 3] = [
+            vec![rust_example(example).into()],
+            vec![python_with_numpy(), python.into()],
+            vec![cpp_examples().join(example).into()],
+        ];
+        let sensor = Sensor::new(Model::Vlp16, HEIGHT_M);
+        let scenes = Vec::from_iter(scenes.into_iter().map(Scene::with));
+        let examples = Vec::from_iter(commands.iter().zip(["rust", "python", "cpp"]).map(
+            |(command, language)| {
+                let folder = setup.path(language);
+                std::fs::create_dir(&folder).unwrap();
+                (start(&setup, &folder, command, args), folder)
+            },
+        ));
+        let sensor = Sending::new(sensor, scenes, setup.port);
+        for _ in 0..SWEEPS {
+            client.next(SOON).unwrap().received().expect("a sweep");
+        }
+        for (example, _) in &examples {
+            assert_eq!(example.try_line(Duration::ZERO), None);
+        }
+        Self {
+            sensor,
+            examples,
+            setup,
+            _daemon: daemon,
+        }
+    }
+
+    /// Each says this.
+    fn say(&self, expected: &str) {
+        for (example, _) in &self.examples {
+            assert_eq!(example.line(), expected);
+        }
+    }
+
+    /// No one says anything for a second.
+    fn are_silent(&self) {
+        std::thread::sleep(Duration::from_secs(1));
+        for (example, _) in &self.examples {
+            assert_eq!(example.try_line(Duration::ZERO), None);
+        }
+    }
+}
+
+/// Starts an example in a folder, where it finds this daemon and the program `sweepd`.
+fn start(setup: &Setup, folder: &PathBuf, command: &[OsString], args: &[&str]) -> Talk {
+    let mut path = OsString::from("PATH=");
+    path.push(program().parent().unwrap());
+    path.push(":/usr/bin:/bin");
+    let root = format!("SWEEPD_ROOT={}", setup.own.root().display());
+    let mut all: Vec<&OsStr> = vec!["-C".as_ref(), folder.as_ref(), &path, root.as_ref()];
+    all.extend(command.iter().map(OsString::as_os_str));
+    all.push("roof".as_ref());
+    all.extend(args.iter().map(OsStr::new));
+    Talk::start("env".as_ref(), &all)
+}
+
+#[test]
+#[cfg_attr(
+    any(without_python, without_compilers),
+    ignore = "no SWEEPD_PYTHON, or no compilers"
+)]
+fn zones_are_occupied_while_something_is_in_them() {
+    let left = Solid::Cuboid {
+        middle_m: [-2.0, 0.0],
+        size_m: [0.5, 0.5, 0.5],
+        yaw_rad: 0.0,
+    };
+    let pallet = Thing::Pallet.solids(3.0);
+    // Beside and before the zones, and above one.
+    let outside = [[2.0, 3.0], [0.0, 6.0], [-2.0, -2.0]].map(|middle_m| Solid::Cuboid {
+        middle_m,
+        size_m: [0.5, 0.5, 1.0],
+        yaw_rad: 0.0,
+    });
+    let scenes = vec![outside.to_vec(), pallet, vec![left]];
+    let stage = Stage::new("zones", &[], scenes);
+    stage.are_silent();
+    stage.sensor.show(1);
+    stage.say("ahead: occupied");
+    stage.are_silent();
+    stage.sensor.show(2);
+    stage.say("left: occupied");
+    stage.say("ahead: empty");
+    stage.sensor.show(0);
+    stage.say("left: empty");
+    stage.are_silent();
+}
+
+/// How far ahead the person walks from left to right, metres.
+const WALK_M: f64 = 4.0;
+/// Steps of 0.15 m, one a turn.
+const STEPS: usize = 50;
+
+/// What stands all the time: a post as large as a person.
+const POST: Solid = Solid::Cylinder {
+    middle_m: [3.0, 6.0],
+    radius_m: 0.2,
+    height_m: 1.75,
+};
+
+/// The post; a person who walks from left to right; a cart that is none, and goes the other way.
+fn walk(step: usize) -> Vec<Solid> {
+    let way_m = 0.15 * step as f64 - 3.5;
+    let person = Solid::Cylinder {
+        middle_m: [way_m, WALK_M],
+        radius_m: 0.25,
+        height_m: 1.75,
+    };
+    let cart = Solid::Cuboid {
+        middle_m: [-way_m, 2.0],
+        size_m: [0.6, 0.4, 0.5],
+        yaw_rad: 0.0,
+    };
+    vec![POST, person, cart]
+}
+
+/// `a person: 1.20 m right, 4.02 m ahead, seen 3 ms ago`
+fn numbers(line: &str) -> [f64; 3] {
+    let numbers = line.split([' ', ',']).filter_map(|word| word.parse().ok());
+    let numbers: Vec<f64> = numbers.collect();
+    assert!(line.starts_with("a person: "), "{line}");
+    numbers.try_into().expect("three numbers")
+}
+
+#[test]
+#[cfg_attr(
+    any(without_python, without_compilers),
+    ignore = "no SWEEPD_PYTHON, or no compilers"
+)]
+fn a_person_who_walks_in_is_told_once() {
+    let scenes = std::iter::once(vec![POST]).chain((0..STEPS).map(walk));
+    let stage = Stage::new("person", &[], scenes.collect());
+    for scene in 1..=STEPS {
+        stage.sensor.show(scene);
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    for (example, _) in &stage.examples {
+        let [right_m, ahead_m, age_ms] = numbers(&example.line());
+        assert!((-3.0..-1.0).contains(&right_m), "{right_m} m right");
+        // The side that the sensor sees.
+        assert!(
+            (WALK_M - 0.25..WALK_M).contains(&ahead_m),
+            "{ahead_m} m ahead"
+        );
+        assert!((0.0..5000.0).contains(&age_ms), "{age_ms} ms");
+    }
+    stage.are_silent();
+}
+
+#[test]
+#[cfg_attr(
+    any(without_python, without_compilers),
+    ignore = "no SWEEPD_PYTHON, or no compilers"
+)]
+fn what_comes_into_the_box_is_recorded() {
+    let scenes = vec![Vec::new(), Thing::Pallet.solids(3.0)];
+    let stage = Stage::new("record_event", &["0.5"], scenes);
+    stage.sensor.show(1);
+    for (example, folder) in &stage.examples {
+        let line = example.line();
+        let file = line.strip_prefix("recording ").expect(&line);
+        let begun = Instant::now();
+        while !folder.join(file).exists() {
+            assert!(begun.elapsed() < SOON, "no {file}: {}", stage.setup.log());
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        let mut inspect = sweepd(&["inspect"]);
+        let output = inspect.arg(folder.join(file)).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stdout);
+        assert!(output.status.success() && said.contains("VLP-16"), "{said}");
+    }
+}
