@@ -12,6 +12,7 @@ use super::key::{Form, Table, Wrong, number, whole};
 use super::keys::{DAEMON, RECORD, SENSOR, SENSOR_TABLES};
 use super::table::{FileProblems, TableReader};
 use super::{DaemonConfig, RecordConfig, SensorConfig};
+use sweepd_core::segment::Method;
 use sweepd_core::segment::settings::{self, REMOVED, SETTINGS, Unit};
 
 /// Most problems of form that are shown.
@@ -125,6 +126,7 @@ impl<'t> Written<'t, SensorConfig> {
                         reader.removed(removed.key, &removed.warning(removed.key));
                     }
                     sensor.read_numbers(&mut reader, table.name, settings::Table::Segment);
+                    sensor.warn_of_theta(&mut reader);
                 }
                 _ => {}
             }
@@ -132,6 +134,16 @@ impl<'t> Written<'t, SensorConfig> {
         }
         reader.finish();
         sensor
+    }
+
+    /// Up to 0.2 it was of both methods.
+    fn warn_of_theta(&self, reader: &mut TableReader<'_, '_, 't>) {
+        if let Some(given) = self.given("segment", "theta_deg")
+            && self.config.pipeline.segment.method != Method::Paper
+        {
+            let warning = "`theta_deg` does nothing: it is of the method `paper`, and this sensor has the method `slope`";
+            reader.problems().warn(given.span().start, warning);
+        }
     }
 
     /// What is set to something else than the default, as `text`, the file, has it.

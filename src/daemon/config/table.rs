@@ -54,6 +54,13 @@ impl<'a> FileProblems<'a> {
         });
     }
 
+    /// Warns of what is accepted and does nothing, at this byte.
+    pub fn warn(&mut self, at: usize, warning: &str) {
+        let before = self.text.as_bytes().get(..at).unwrap_or_default();
+        let line = 1 + before.iter().filter(|&&byte| byte == b'\n').count();
+        self.warnings.push(format!("line {line}: {warning}"));
+    }
+
     /// Notes a value of a wrong type.
     pub fn wrong_type(&mut self, value: &Spanned<DeValue<'_>>, expected: &str) {
         let title = format!("wrong type: {}", Found(value.get_ref()));
@@ -126,13 +133,7 @@ impl<'a, 'p, 't> TableReader<'a, 'p, 't> {
     /// Passes over a key of an earlier version, with a warning where it is written.
     pub fn removed(&mut self, key: &str, warning: &str) {
         if let Some((key, _)) = self.table.remove_entry(key) {
-            let before = self.problems.text.as_bytes().get(..key.span().start);
-            let line = 1 + before.map_or(0, |before| {
-                before.iter().filter(|&&byte| byte == b'\n').count()
-            });
-            self.problems
-                .warnings
-                .push(format!("line {line}: {warning}"));
+            self.problems.warn(key.span().start, warning);
         }
     }
 

@@ -46,7 +46,9 @@ fn roof(more: &str) -> String {
 #[test]
 fn a_configuration_of_an_earlier_version_is_read_with_a_warning_for_each_key_that_is_gone() {
     let config = good(OLD_EXAMPLE);
-    assert_eq!(config.warnings.len(), REMOVED.len());
+    assert_eq!(config.warnings.len(), REMOVED.len() + 1);
+    let theta = config.warnings.iter().find(|one| one.contains("theta_deg"));
+    assert!(theta.is_some_and(|one| one.starts_with("line 89: ")));
     for removed in REMOVED {
         let is_key = |line: &&str| line.starts_with(&format!("{} = ", removed.key));
         let line = OLD_EXAMPLE.lines().position(|line| is_key(&line)).unwrap() + 1;
@@ -63,6 +65,36 @@ fn a_configuration_of_an_earlier_version_is_read_with_a_warning_for_each_key_tha
     // It is still a key that is not known elsewhere.
     let (lines, _) = bad(&roof("gap_m = 0.6"));
     assert_eq!(lines, [4]);
+}
+
+#[test]
+fn each_key_of_an_earlier_version_is_known() {
+    let mut keys = 0;
+    for line in OLD_EXAMPLE.lines() {
+        let Some(key) = line.strip_prefix('#') else {
+            continue;
+        };
+        if key.starts_with([' ', '[']) {
+            continue;
+        }
+        let is_record = ["path", "rotate"]
+            .iter()
+            .any(|start| key.starts_with(start));
+        let mut text = OLD_EXAMPLE.replacen(&format!("\n{line}\n"), &format!("\n{key}\n"), 1);
+        if is_record {
+            text = text.replace("\n#[record]\n", "\n[record]\n");
+        }
+        // What is wrong with its value, such as a file that is not there, is another matter.
+        if let Err(error) = parse(&text) {
+            let said = error.to_string();
+            assert!(
+                !said.contains("unknown") && !said.contains("wrong type"),
+                "{key}: {said}"
+            );
+        }
+        keys += 1;
+    }
+    assert_eq!(keys, 35);
 }
 
 #[test]
