@@ -2,14 +2,14 @@
 //! Rust, Python and C++ at once.
 
 use std::ffi::{OsStr, OsString};
-use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use sweepd::sensor::Model;
 use sweepd_lab::cast::{Scene, Sensor, Solid, Thing};
 
 use super::common::library::rust_example;
-use super::common::setup::{SOON, Setup};
+use super::common::setup::{Process, SOON, Setup};
 use super::common::{program, python_with_numpy, sweepd};
 use super::of_project;
 use super::programs::cpp_examples;
@@ -26,8 +26,8 @@ const SWEEPS: usize = 15;
 struct Stage {
     sensor: Sending,
     examples: Vec<(Talk, PathBuf)>,
-    setup: Setup,
-    _daemon: super::common::setup::Process,
+    _daemon: Process,
+    _setup: Setup,
 }
 
 impl Stage {
@@ -63,8 +63,8 @@ impl Stage {
         Self {
             sensor,
             examples,
-            setup,
             _daemon: daemon,
+            _setup: setup,
         }
     }
 
@@ -85,7 +85,7 @@ impl Stage {
 }
 
 /// Starts an example in a folder, where it finds this daemon and the program `sweepd`.
-fn start(setup: &Setup, folder: &PathBuf, command: &[OsString], args: &[&str]) -> Talk {
+fn start(setup: &Setup, folder: &Path, command: &[OsString], args: &[&str]) -> Talk {
     let mut path = OsString::from("PATH=");
     path.push(program().parent().unwrap());
     path.push(":/usr/bin:/bin");
@@ -109,7 +109,7 @@ fn zones_are_occupied_while_something_is_in_them() {
         yaw_rad: 0.0,
     };
     let pallet = Thing::Pallet.solids(3.0);
-    // Beside and before the zones, and above one.
+    // Beside and behind the zones.
     let outside = [[2.0, 3.0], [0.0, 6.0], [-2.0, -2.0]].map(|middle_m| Solid::Cuboid {
         middle_m,
         size_m: [0.5, 0.5, 1.0],
@@ -202,11 +202,8 @@ fn what_comes_into_the_box_is_recorded() {
     for (example, folder) in &stage.examples {
         let line = example.line();
         let file = line.strip_prefix("recording ").expect(&line);
-        let begun = Instant::now();
-        while !folder.join(file).exists() {
-            assert!(begun.elapsed() < SOON, "no {file}: {}", stage.setup.log());
-            std::thread::sleep(Duration::from_millis(20));
-        }
+        // What `sweepd record` says when it is done.
+        while !example.line().starts_with("  recorded ") {}
         let mut inspect = sweepd(&["inspect"]);
         let output = inspect.arg(folder.join(file)).output().unwrap();
         let said = String::from_utf8_lossy(&output.stdout);

@@ -141,7 +141,7 @@ impl<'t> Written<'t, SensorConfig> {
         if let Some(given) = self.given("segment", "theta_deg")
             && self.config.pipeline.segment.method != Method::Paper
         {
-            let warning = "`theta_deg` does nothing: it is of the method `paper`, and this sensor has the method `slope`";
+            let warning = "`theta_deg` does nothing, leave it out: it is of the method `paper`, and this is `slope`";
             reader.problems().warn(given.span().start, warning);
         }
     }

@@ -190,7 +190,7 @@ impl Removed {
     /// The warning, where it is called by this name.
     pub fn warning(&self, name: &str) -> String {
         format!(
-            "`{name}` is no setting any more and does nothing: {}",
+            "`{name}` does nothing any more, leave it out: {}",
             self.instead
         )
     }
