@@ -210,3 +210,19 @@ fn what_comes_into_the_box_is_recorded() {
         assert!(output.status.success() && said.contains("VLP-16"), "{said}");
     }
 }
+
+#[test]
+fn each_has_at_most_40_lines() {
+    let folders = [
+        ("crates/sweepd-client/examples", "rs"),
+        ("examples/python", "py"),
+        ("examples", "cpp"),
+    ];
+    for (folder, ending) in folders {
+        for example in ["zones", "person", "record_event"] {
+            let file = of_project(folder).join(example).with_extension(ending);
+            let lines = std::fs::read_to_string(&file).unwrap().lines().count();
+            assert!(lines <= 40, "{}: {lines} lines", file.display());
+        }
+    }
+}

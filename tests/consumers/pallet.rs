@@ -21,8 +21,7 @@ const PALLET_M: f64 = 2.0;
 /// Sweeps of the bare floor.
 const SWEEPS: usize = 15;
 
-/// What the sensor has before it.
-const FLOOR: usize = 0;
+/// The scene of the pallet; the first has the floor alone.
 const PALLET: usize = 1;
 
 /// Runs a program behind a daemon: it says nothing of the floor, and "stop" of the pallet at once.
