@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use sweepd::sensor::Model;
-use sweepd_lab::cast::{Scene, Sensor, Solid, Thing};
+use sweepd_lab::cast::{Scene, Sensor, Solid};
 
 use super::common::library::rust_example;
 use super::common::setup::{Process, SOON, Setup};
@@ -17,7 +17,7 @@ use super::python::Talk;
 use super::sending::Sending;
 
 /// Height of the sensor over the floor and the robot's origin, metres.
-const HEIGHT_M: f64 = 1.2;
+const HEIGHT_M: f64 = 0.5;
 /// Sweeps of the first scene.
 const SWEEPS: usize = 15;
 
@@ -97,25 +97,28 @@ fn start(setup: &Setup, folder: &Path, command: &[OsString], args: &[&str]) -> T
     Talk::start("env".as_ref(), &all)
 }
 
+/// A box 0.5 m high.
+fn box_at(middle_m: [f64; 2]) -> Solid {
+    Solid::Cuboid {
+        middle_m,
+        size_m: [0.5; 3],
+        yaw_rad: 0.0,
+    }
+}
+
 #[test]
 #[cfg_attr(
     any(without_python, without_compilers),
     ignore = "no SWEEPD_PYTHON, or no compilers"
 )]
 fn zones_are_occupied_while_something_is_in_them() {
-    let left = Solid::Cuboid {
-        middle_m: [-2.0, 0.0],
-        size_m: [0.5, 0.5, 0.5],
-        yaw_rad: 0.0,
-    };
-    let pallet = Thing::Pallet.solids(3.0);
     // Beside and behind the zones.
-    let outside = [[2.0, 3.0], [0.0, 6.0], [-2.0, -2.0]].map(|middle_m| Solid::Cuboid {
-        middle_m,
-        size_m: [0.5, 0.5, 1.0],
-        yaw_rad: 0.0,
-    });
-    let scenes = vec![outside.to_vec(), pallet, vec![left]];
+    let outside = [[2.0, 3.0], [0.0, 6.0], [-2.0, -2.0]].map(box_at);
+    let scenes = vec![
+        outside.to_vec(),
+        vec![box_at([0.0, 3.0])],
+        vec![box_at([-2.0, 0.0])],
+    ];
     let stage = Stage::new("zones", &[], scenes);
     stage.are_silent();
     stage.sensor.show(1);
@@ -196,7 +199,7 @@ fn a_person_who_walks_in_is_told_once() {
     ignore = "no SWEEPD_PYTHON, or no compilers"
 )]
 fn what_comes_into_the_box_is_recorded() {
-    let scenes = vec![Vec::new(), Thing::Pallet.solids(3.0)];
+    let scenes = vec![Vec::new(), vec![box_at([0.0, 3.0])]];
     let stage = Stage::new("record_event", &["0.5"], scenes);
     stage.sensor.show(1);
     for (example, folder) in &stage.examples {
