@@ -302,7 +302,7 @@ fn diff(path_a: &Path, path_b: &Path) -> Result<(), CliError> {
     }
     if text.is_empty() {
         let length_mm = LENGTH_TOLERANCE_M * 1e3;
-        return print(&format!(
+        return print(format!(
             "no beam differs by more than {ANGLE_TOLERANCE_DEG} degrees or {length_mm:.0} mm\n"
         ));
     }
@@ -342,7 +342,7 @@ fn from_capture(args: &FromCapture) -> Result<(), CliError> {
     let source = format!("HDL-64E {series} at {name}, {calibrated}, from its own packets");
     let text = format!("# {source}\n{}", ros_yaml::emit(&calibration));
     output::write(&args.out, text.as_bytes(), existing)?;
-    print(&describe(&args.out, &source, series))
+    print(describe(&args.out, &source, series))
 }
 
 impl FromCapture {
