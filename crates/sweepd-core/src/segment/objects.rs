@@ -119,24 +119,35 @@ struct Extent {
     first: usize,
     last: usize,
     first_shot: Shot,
+    /// [Turned](Shot::turned).
     last_shot: Shot,
     /// Its first pixel behind the cut, if there is one.
     first_behind: u32,
 }
 
-/// A pixel's shot: the position of its firing, its time in the firing, its row. Shots are ordered
-/// by time; of two at the same time, the one with the lower row number comes first.
+/// A pixel's shot as one number, which is fast to compare: the position of its firing, its time in
+/// the firing, its row. The first shot has the least; of two at the same time, the lower row comes
+/// first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-struct Shot {
-    firing: usize,
-    offset_ns: u32,
-    row: usize,
-}
+struct Shot(u64);
 
 impl Shot {
-    /// Highest for the last shot: of two at the same time, that with the lower row number, too.
-    fn as_last(self) -> (usize, u32, Reverse<usize>) {
-        (self.firing, self.offset_ns, Reverse(self.row))
+    fn new(firing: usize, offset_ns: u32, row: usize) -> Self {
+        Self((firing as u64) << 40 | u64::from(offset_ns) << 8 | row as u64)
+    }
+
+    fn firing(self) -> usize {
+        (self.0 >> 40) as usize
+    }
+
+    fn row(self) -> usize {
+        (self.0 & 0xFF) as usize
+    }
+
+    /// With the rows turned round, or back. The last shot has the greatest then; of two at the same
+    /// time, that with the lower row, too.
+    fn turned(self) -> Self {
+        Self(self.0 ^ 0xFF)
     }
 }
 
@@ -144,16 +155,8 @@ impl Extent {
     const NONE: Self = Self {
         first: usize::MAX,
         last: 0,
-        first_shot: Shot {
-            firing: usize::MAX,
-            offset_ns: u32::MAX,
-            row: usize::MAX,
-        },
-        last_shot: Shot {
-            firing: 0,
-            offset_ns: 0,
-            row: usize::MAX,
-        },
+        first_shot: Shot(u64::MAX),
+        last_shot: Shot(0),
         first_behind: u32::MAX,
     };
 
@@ -162,9 +165,7 @@ impl Extent {
         self.last = self.last.max(other.last);
         self.first_behind = self.first_behind.min(other.first_behind);
         self.first_shot = self.first_shot.min(other.first_shot);
-        if other.last_shot.as_last() > self.last_shot.as_last() {
-            self.last_shot = other.last_shot;
-        }
+        self.last_shot = self.last_shot.max(other.last_shot);
     }
 
     fn columns(&self) -> usize {
@@ -267,18 +268,19 @@ impl Objects {
         // First, or a run would begin a second entry for a component that has another root by now.
         self.unite(simd, components);
         self.add_runs(simd, &strip, components);
-        let Strip {
-            sweep,
-            order,
-            position,
-            pitch_rad,
-            ..
-        } = strip;
+        self.followed = strip.position + STRIP;
+        self.emit_parts(&strip, min_points);
+        self.settle(components);
+        self.emit_whole(simd, &strip, components, min_points);
+        self.forget_settled();
+    }
+
+    /// Finds what has ended, and emits parts of what is too wide.
+    fn emit_parts(&mut self, strip: &Strip<'_>, min_points: u32) {
         // No window of a later strip reaches further back.
-        let reached = position + STRIP - MOST_COLUMNS;
-        self.followed = position + STRIP;
+        let reached = self.followed - MOST_COLUMNS;
         // The pitch of a single column is 0, and is divided by.
-        let most_columns = (self.max_width_rad / pitch_rad.max(1e-6)) as usize;
+        let most_columns = (self.max_width_rad / strip.pitch_rad.max(1e-6)) as usize;
         for index in 0..self.open.len() {
             let open = &mut self.open[index];
             let is_behind = open.whole.last < reached;
@@ -293,17 +295,26 @@ impl Objects {
                 let Open { part, sum, .. } = *open;
                 (open.part, open.sum) = (Extent::NONE, Sum::NONE);
                 if let Some(reason) = self.reason(&part, why::WIDE) {
-                    self.push(object(&sum, &part, reason, order, sweep));
+                    self.push(object(&sum, &part, reason, strip));
                 }
             }
         }
-        self.settle(components);
+    }
+
+    /// Emits what has ended and waits for nothing.
+    #[inline(always)]
+    fn emit_whole<S: Simd>(
+        &mut self,
+        simd: S,
+        strip: &Strip<'_>,
+        components: &mut Components,
+        min_points: u32,
+    ) {
         for index in 0..self.open.len() {
-            let open = self.open[index];
-            let is_small = components.is_small(open.root);
+            let open = &mut self.open[index];
             // A small one that nothing takes is an object by itself, if it has enough points. One
             // that was given away is emitted as part of the other.
-            let is_known = if is_small {
+            let is_known = if components.is_small(open.root) {
                 open.is_settled && open.nearest.root == NONE
             } else {
                 open.has_ended && !open.waits
@@ -311,7 +322,8 @@ impl Objects {
             if !is_known {
                 continue;
             }
-            self.open[index].is_settled = true;
+            open.is_settled = true;
+            let open = *open;
             let (sum, whole) = self.with_gifts(simd, &open, components);
             // The first and last column of a wide object are certain only at the end of the turn:
             // the whole is emitted with the sweep.
@@ -319,10 +331,9 @@ impl Objects {
                 && sum.points >= min_points.max(1)
                 && let Some(reason) = self.reason(&whole, why::COMPLETE)
             {
-                self.push(object(&sum, &whole, reason, order, sweep));
+                self.push(object(&sum, &whole, reason, strip));
             }
         }
-        self.forget_settled();
     }
 
     /// Emits an object.
@@ -335,14 +346,7 @@ impl Objects {
     #[inline(always)]
     fn unite<S: Simd>(&mut self, simd: S, components: &mut Components) {
         for index in 0..self.open.len() {
-            let Open {
-                root: before,
-                whole,
-                part,
-                sum,
-                is_parted,
-                ..
-            } = self.open[index];
+            let before = self.open[index].root;
             let root = components.root(before);
             if root == before {
                 continue;
@@ -354,11 +358,12 @@ impl Objects {
                 self.open[index].root = root;
                 continue;
             }
+            let open = self.open[index];
             let into = &mut self.open[slot as usize];
-            into.whole.add(&whole);
-            into.part.add(&part);
-            into.sum.add(simd, &sum);
-            into.is_parted |= is_parted;
+            into.whole.add(&open.whole);
+            into.part.add(&open.part);
+            into.sum.add(simd, &open.sum);
+            into.is_parted |= open.is_parted;
             self.open[index].root = NONE;
         }
         self.forget_settled();
@@ -377,16 +382,15 @@ impl Objects {
             let beam = &strip.sweep.beams[row];
             let first = strip.position + columns.trailing_zeros() as usize;
             let last = strip.position + STRIP - 1 - columns.leading_zeros() as usize;
-            let shot = |position: usize| Shot {
-                firing: position.saturating_add_signed(beam.shift as isize),
-                offset_ns: beam.time_offset_ns,
-                row,
+            let shot = |position: usize| {
+                let firing = position.saturating_add_signed(beam.shift as isize);
+                Shot::new(firing, beam.time_offset_ns, row)
             };
             let mut extent = Extent {
                 first,
                 last,
                 first_shot: shot(first),
-                last_shot: shot(last),
+                last_shot: shot(last).turned(),
                 first_behind: u32::MAX,
             };
             if let Some(cut) = self.cut
@@ -547,16 +551,20 @@ impl Objects {
         let slots = &mut self.slots;
         let mut kept = 0;
         for index in 0..self.open.len() {
-            let open = self.open[index];
-            if open.root == NONE {
+            let Open {
+                root, is_settled, ..
+            } = self.open[index];
+            if root == NONE {
                 continue;
             }
-            if open.is_settled {
-                slots[open.root as usize] = NONE;
+            if is_settled {
+                slots[root as usize] = NONE;
                 continue;
             }
-            slots[open.root as usize] = kept as u32;
-            self.open[kept] = open;
+            if kept < index {
+                slots[root as usize] = kept as u32;
+                self.open[kept] = self.open[index];
+            }
             kept += 1;
         }
         self.open.truncate(kept);
@@ -652,23 +660,24 @@ pub(super) struct Strip<'a> {
 }
 
 /// An object of the open sweep.
-fn object(sum: &Sum, extent: &Extent, reason: u32, order: Order, sweep: &SweepRef<'_>) -> Object {
+fn object(sum: &Sum, extent: &Extent, reason: u32, strip: &Strip<'_>) -> Object {
+    let Strip { sweep, order, .. } = *strip;
     let mut segment = sum.segment(LABEL_NONE);
     let column = |position: usize| order.column(position).unwrap_or(0);
     segment.column_first = column(extent.first) as u32;
     segment.column_last = column(extent.last) as u32;
     let shot = |shot: Shot| {
-        let beam = &sweep.beams[shot.row];
+        let beam = &sweep.beams[shot.row()];
         // The firing has come, with one exception: around the cut, pixels of the turn before have
         // the shifts of this turn, and may then seem to be fired later than the newest column.
-        let firing = sweep.columns.get(column(shot.firing));
+        let firing = sweep.columns.get(column(shot.firing()));
         firing.or(sweep.columns.last()).map_or((0.0, 0), |firing| {
             let time_ns = firing.time_ns.saturating_add(beam.time_offset_ns);
             (pixel_azimuth_rad(firing, beam) as f32, nanoseconds(time_ns))
         })
     };
     let (azimuth_first_rad, first_ns) = shot(extent.first_shot);
-    let (azimuth_last_rad, last_ns) = shot(extent.last_shot);
+    let (azimuth_last_rad, last_ns) = shot(extent.last_shot.turned());
     let first_pixel = match reason {
         why::SEAM => extent.first_behind,
         _ => sum.first,
