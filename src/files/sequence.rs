@@ -418,7 +418,7 @@ impl<C: Contents> OpenFile<C> {
     /// Gives what is whole of the file an end and its name, if the disk lets it; gives the name, and
     /// why the file was not written to its end.
     fn end_early(mut self, error: WriteError) -> (Option<PathBuf>, WriteError) {
-        // What it still holds goes to the disk now, or never.
+        // What it still holds, as a chunk under way, goes to the disk now, or never.
         let _ = self.contents.flush();
         drop(self.contents);
         give_up::<C>(self.new, self.existing, self.safe_len, error)

@@ -552,7 +552,7 @@ fn a_chunk_whose_check_sum_is_wrong_ends_the_reading() {
 fn a_folder_is_read_in_the_order_of_its_numbers() {
     let folder = tempfile::tempdir().unwrap();
     let error = |path: &Path| Capture::open(path).err().unwrap().to_string();
-    assert!(error(folder.path()).contains("it holds a folder without .mcap, .db3 or .bag files"));
+    assert!(error(folder.path()).contains("a folder without .mcap, .db3 or .bag files"));
     std::fs::write(
         folder.path().join("metadata.yaml"),
         "rosbag2_bagfile_information:",

@@ -88,7 +88,7 @@ const CASES: [Case; 7] = [
         config: ("", ""),
         unshare: &["-m"],
         script: "mount -t tmpfs none $FOLDER 2>/dev/null; rm -f $FOLDER/sweepd.toml",
-        code: 1,
+        code: 66,
         says: &["error: ", "sweepd.toml", "No such file"],
     },
 ];

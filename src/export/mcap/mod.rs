@@ -143,10 +143,10 @@ impl Topic {
         put_bytes(&mut channel, &metadata);
         let is_added =
             writer.add_schema(self.id, &schema)? && writer.add_channel(id, self.id, &channel)?;
-        // In a file that is mended.
-        is_added
-            .then_some(id)
-            .ok_or_else(|| io::Error::other(format!("its channel {id} is another one")))
+        // A file that is mended may have both.
+        is_added.then_some(id).ok_or_else(|| {
+            io::Error::other(format!("another schema or channel has its number, {id}"))
+        })
     }
 
     fn contents<W: Write>(

@@ -20,7 +20,8 @@ const CHUNK_LEN: u64 = 1 << 20;
 /// Files of three quarters the size. With zstd they have 0.58 of it, and take twice the time.
 const COMPRESSION: &str = "lz4";
 
-/// A file under way.
+/// A file under way. After an error of the disk, nothing more may be written: what is counted then is not
+/// what the file holds.
 pub(crate) struct RecordWriter<W> {
     file: Summed<W>,
     chunk: Option<Chunk>,

@@ -66,6 +66,48 @@ pub(crate) fn read(bytes: &[u8]) -> Read {
     found.filter(|(topic, ..)| topic != "/tf_static").collect()
 }
 
+/// What a reader finds by the index of messages, in order of time, without the transforms.
+fn sought(bytes: &[u8]) -> Read {
+    let summary = mcap::Summary::read(bytes).unwrap().unwrap();
+    let mut found = Read::new();
+    for chunk in &summary.chunk_indexes {
+        let channels = summary.read_message_indexes(bytes, chunk).unwrap();
+        for (channel, entries) in channels {
+            for entry in entries {
+                let message = summary.seek_message(bytes, chunk, &entry).unwrap();
+                assert_eq!(
+                    (&message.channel.topic, message.log_time),
+                    (&channel.topic, entry.log_time)
+                );
+                found.push((
+                    channel.topic.clone(),
+                    entry.log_time,
+                    message.data.into_owned(),
+                ));
+            }
+        }
+    }
+    found.retain(|(topic, ..)| topic != "/tf_static");
+    // Of a sweep, points come before markers.
+    found.sort_by(|a, b| (a.1, &b.0).cmp(&(b.1, &a.0)));
+    found
+}
+
+/// Chunks end at their length, too.
+#[test]
+fn what_is_not_flushed_is_read_and_indexed() {
+    let messages = messages(12);
+    let mut writer = McapWriter::new(Vec::new()).unwrap();
+    for one in &messages {
+        writer.write(one).unwrap();
+    }
+    let bytes = writer.finish().unwrap();
+    let chunks = mcap::Summary::read(&bytes).unwrap().unwrap().chunk_indexes;
+    assert!((2..12).contains(&chunks.len()), "{}", chunks.len());
+    assert!(read(&bytes) == expected(&messages));
+    assert!(sought(&bytes) == expected(&messages));
+}
+
 #[test]
 fn what_is_written_is_read_and_indexed() {
     let messages = messages(6);
@@ -80,6 +122,7 @@ fn what_is_written_is_read_and_indexed() {
         (1_700_000_000_000_000_000, 1_700_000_000_500_000_000)
     );
     assert_eq!(summary.chunk_indexes.len(), 6);
+    assert!(sought(&bytes) == expected(&messages));
     for channel in summary.channels.values() {
         let schema = channel.schema.as_ref().unwrap();
         assert_eq!(

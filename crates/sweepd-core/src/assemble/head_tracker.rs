@@ -130,8 +130,8 @@ impl HeadTracker {
         let advance = (azimuth_cdeg - last + TURN / 2.0 - TURN / 2.0) * self.sense;
         let phase = ahead(self.cut_cdeg, last, self.sense);
         let is_on_the_way = advance > 0.0 && advance < TURN / 2.0 && phase + advance < TURN;
-        let is_watched = self.stopped || time_ns - since_ns >= STANDSTILL_NS;
-        if !is_on_the_way || is_watched || !self.edge.is_unseen() {
+        let is_due = self.stopped || time_ns - since_ns >= STANDSTILL_NS;
+        if !is_on_the_way || is_due || !self.edge.is_unseen() {
             return false;
         }
         self.last_cdeg = Some(azimuth_cdeg);
@@ -152,6 +152,7 @@ impl HeadTracker {
         self.go(azimuth_cdeg, time_ns, Some(speed))
     }
 
+    // Rare: `turn` is inlined without it.
     #[inline(never)]
     fn go(
         &mut self,

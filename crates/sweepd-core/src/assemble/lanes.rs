@@ -227,8 +227,8 @@ impl Records<'_> {
         }
     }
 
-    /// A group of records: distance in the low sixteen bits of each, then reflectivity, then an
-    /// arbitrary byte.
+    /// A group of records in the order of its lanes ([`place`]): distance in the low sixteen bits of
+    /// each, then reflectivity, then an arbitrary byte.
     #[inline(always)]
     fn group<S: Simd>(&self, simd: S, group: usize, by_row: bool) -> i32x16<S> {
         const IN_BLOCK: usize = RECORDS / LANES;

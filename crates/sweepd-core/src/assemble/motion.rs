@@ -79,8 +79,9 @@ pub struct FiringTiming {
     /// From one firing to the next, nanoseconds.
     pub period_ns: i64,
     channels: usize,
-    /// Firings that share an azimuth, as a power of two, and the share of the way that each has.
+    /// Firings that share an azimuth, as a power of two.
     sharing: u32,
+    /// What each of them has of the way to the next azimuth.
     share: f64,
 }
 
@@ -336,7 +337,7 @@ impl Steps {
         let least = steps.iter().copied().fold(f64::MAX, f64::min);
         let most = steps.iter().copied().fold(f64::MIN, f64::max);
         if steps.len() < 2 || most - least <= BEND_CDEG {
-            // All are alike: none is a break.
+            // All are alike: none is a break. `sum` would begin at -0, which is a sense of rotation.
             let sum = steps.iter().copied().fold(0.0, Add::add);
             return Ok(Self {
                 step_cdeg: sum / steps.len().max(1) as f64,

@@ -185,6 +185,7 @@ impl PacketOrder {
             self.begin_anew(index);
             return Ok(());
         };
+        // The newest packet is in use, so that its place is another one.
         if let Ok([last, packet]) = self.packets.get_disjoint_mut([last, index]) {
             self.matcher.settle_silence(last, packet);
         }

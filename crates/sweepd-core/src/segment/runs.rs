@@ -122,6 +122,7 @@ impl Runs {
         super::order::reserve(&mut self.names, rows * (BEFORE + STRIP));
         self.from = 0;
         self.jumps = 0;
+        // As far as windows reach.
         self.flat[..lane_of(rows + MOST_ROWS) - BEFORE].fill(NO_RETURN);
         self.edges.clear();
         self.edges.resize(rows, Edges::default());
