@@ -58,9 +58,9 @@ const DIAGNOSTICS: &str = "/diagnostics";
 const TF_STATIC: &str = "/tf_static";
 const CLOCK: &str = "/clock";
 
-/// Exit code where a file that was given cannot be read (sysexits.h).
+/// Exit code where a file that was given cannot be read (sysexits.h): a supervisor need not retry.
 const EX_NOINPUT: u8 = 66;
-/// Exit code where only other parameters help, so that a supervisor need not retry.
+/// Exit code where only other parameters help: it need not, either.
 const EX_CONFIG: u8 = 78;
 
 /// Why the program ends, and its exit code.
