@@ -32,7 +32,7 @@ Exit codes:
   1   failed: standard error says what
   2   wrong options or arguments
   66  a file of parameters is not there, or cannot be read
-  78  parameters or an environment that cannot be meant: correct them, and start again
+  78  the parameters or the environment are invalid: correct them, then start again
 
 Examples:
   sweepd-ros2                           all sensors

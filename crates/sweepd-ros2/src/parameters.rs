@@ -10,6 +10,7 @@
 mod yaml;
 
 use std::collections::BTreeMap;
+use std::io;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
@@ -296,11 +297,20 @@ impl Parameters {
         let place = file.display().to_string();
         match std::fs::read_to_string(file) {
             Ok(text) => self.parse(&text, &place, node),
-            Err(error) => Err(ParameterError {
-                place,
-                what: format!("cannot be read: {error}; check the path"),
-                is_unread: true,
-            }),
+            Err(error) => {
+                // The words of the driver.
+                let cure = match error.kind() {
+                    io::ErrorKind::NotFound => "; check the path",
+                    io::ErrorKind::IsADirectory => "; give a file in it",
+                    io::ErrorKind::PermissionDenied => "; allow this user to read it",
+                    _ => "",
+                };
+                Err(ParameterError {
+                    place,
+                    what: format!("cannot be read: {error}{cure}"),
+                    is_unread: true,
+                })
+            }
         }
     }
 

@@ -39,7 +39,13 @@ fn what_is_wrong_is_one_line_and_an_exit_code() {
             "140",
             &["--params-file", "/none.yaml"],
             66,
-            "/none.yaml: cannot be read",
+            "/none.yaml: cannot be read: No such file or directory (os error 2); check the path",
+        ),
+        (
+            "140",
+            &["--params-file", "/proc"],
+            66,
+            "/proc: cannot be read: Is a directory (os error 21); give a file in it",
         ),
         (
             "140",
