@@ -9,6 +9,8 @@ import time
 import numpy as np
 import sweepd
 
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
 # How far one goes at least until it is told, and less than that from turn to turn, metres.
 WALK_M = 0.5
 FORGOTTEN_NS = 1_000_000_000

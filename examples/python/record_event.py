@@ -14,6 +14,8 @@ LEAST_M, MOST_M = [-1, 0.5, -5], [1, 5, 2]
 # Fewest returns of a thing.
 RETURNS = 3
 
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
 sensor, *seconds = sys.argv[1:]
 client = sweepd.Client(sensor)
 try:

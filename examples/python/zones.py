@@ -12,6 +12,8 @@ ZONES_M = {"ahead": ([-1, 0.5, -5], [1, 5, 2]), "left": ([-3, -1, -5], [-1, 1, 2
 # Fewest returns of a thing, and sweeps without them after which it is gone.
 RETURNS, GONE = 3, 3
 
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
 sensor = sys.argv[1]
 client = sweepd.Client(sensor)
 empty = dict.fromkeys(ZONES_M, GONE)
