@@ -92,8 +92,8 @@ impl OutputOptions {
         ))
     }
 
-    /// The folders and files that it writes, without standard output.
-    pub fn places(&self) -> Vec<PathBuf> {
+    /// The folders and files that it writes, without standard output, as they are shown.
+    pub fn places(&self) -> Vec<String> {
         let places = [
             &self.csv,
             &self.pcd,
@@ -104,7 +104,8 @@ impl OutputOptions {
             &self.raw,
         ];
         let places = places.into_iter().flatten();
-        places.filter(|path| !is_stdout(path)).cloned().collect()
+        let files = places.filter(|path| !is_stdout(path));
+        files.map(|path| path.display().to_string()).collect()
     }
 
     /// Whether sweeps are written anywhere.
@@ -264,7 +265,7 @@ pub struct Outputs {
     frame: Frame,
     stdout: Option<BufWriter<Stdout>>,
     timing: bool,
-    places: Vec<PathBuf>,
+    places: Vec<String>,
     sweeps: u64,
     _made: MadeFolders,
 }
@@ -508,13 +509,8 @@ impl Outputs {
             segments.finish()?;
         }
         self.raw.take().map_or(Ok(()), Stream::finish)?;
-        let places: Vec<String> = self
-            .places
-            .iter()
-            .map(|path| path.display().to_string())
-            .collect();
         let sweeps = count_of(self.sweeps, "sweep");
-        Ok((!places.is_empty()).then(|| format!("{sweeps} to {}", places.join(", "))))
+        Ok((!self.places.is_empty()).then(|| format!("{sweeps} to {}", self.places.join(", "))))
     }
 
     /// The exporters of a sensor: the first one writes into the directories themselves, each other

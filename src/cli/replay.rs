@@ -28,7 +28,7 @@ pub use args::Args;
 /// [`CliError`]: what stopped it, or what it could not decode.
 pub fn run(args: &Args) -> Result<(), CliError> {
     args.check()?;
-    play(args).map_err(|error| ended(error, &args.files()))
+    play(args).map_err(|error| ended(error, &args.places()))
 }
 
 fn play(args: &Args) -> Result<(), CliError> {

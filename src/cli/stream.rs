@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::io::{self, BufWriter, Stdout, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::Serialize;
 
@@ -30,18 +30,14 @@ pub fn printed(done: io::Result<()>) -> Result<(), CliError> {
 }
 
 /// What the error is that ended the work. A reader who had enough of standard output ends it well, unless
-/// `files` are written beside it.
-pub fn ended(error: CliError, files: &[PathBuf]) -> CliError {
-    if error.exit() != Exit::Done || files.is_empty() {
+/// other `places` are written to beside it.
+pub fn ended(error: CliError, places: &[String]) -> CliError {
+    if error.exit() != Exit::Done || places.is_empty() {
         return error;
     }
-    let files: Vec<String> = files
-        .iter()
-        .map(|path| path.display().to_string())
-        .collect();
-    let files = files.join(", ");
+    let places = places.join(", ");
     CliError::Failed(format!(
-        "standard output was closed before the end: what was written to {files} is not complete"
+        "standard output was closed before the end: what was written to {places} is not complete"
     ))
 }
 

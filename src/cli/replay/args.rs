@@ -70,11 +70,15 @@ impl Args {
         self.objects || self.output.is_piped() || self.is_pcap_piped()
     }
 
-    /// The folders and files that are written.
-    pub(super) fn files(&self) -> Vec<PathBuf> {
-        let mut files = self.output.places();
-        files.extend(self.pcap.clone().filter(|path| !is_stdout(path)));
-        files
+    /// Where it writes beside standard output, as it is shown: folders, files, consumers, an address.
+    pub(super) fn places(&self) -> Vec<String> {
+        let mut places = self.output.places();
+        let pcap = self.pcap.iter().filter(|path| !is_stdout(path));
+        places.extend(pcap.map(|path| path.display().to_string()));
+        let names = self.publish.publish.iter();
+        places.extend(names.map(|name| format!("consumers of {name}")));
+        places.extend(self.play.destination().map(|to| to.to_string()));
+        places
     }
 
     /// Whether the packets go to standard output.
