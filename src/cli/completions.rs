@@ -10,6 +10,9 @@ use super::{Cli, CliError};
 /// What prints the names of the sensors that are shared, for a shell.
 const LIST: &str = "sweepd watch --list 2>/dev/null";
 
+/// What adds files to what bash offers; without a terminal there are no options to set.
+const FILES: &str = r#"mapfile -t -O "${#COMPREPLY[@]}" COMPREPLY < <(compgen -f -- "${cur}"); compopt -o filenames 2>/dev/null"#;
+
 /// Arguments that take such a name: of which command, and whether files are meant, too.
 const NAMES: [(&str, &str, bool); 4] = [
     ("watch", "name", false),
@@ -63,10 +66,19 @@ pub fn script(shell: Shell, command: Command) -> (String, String) {
                 )
             }
             Shell::Fish => script.replace(&format!("{place}\\t''"), &format!("({LIST})")),
+            Shell::Bash if is_file => match script.split_once(&place) {
+                // Files as they are, which `compgen -W` would expand.
+                Some((before, after)) => format!(
+                    "{before}$({LIST}){}",
+                    after.replacen("return 0", &format!("{FILES}; return 0"), 1)
+                ),
+                None => script,
+            },
             _ => script.replace(&place, &format!("$({LIST})")),
         };
         // clap_complete knows the options alone.
-        if shell == Shell::Fish && argument != "from" && (owner == name || name == "sweepd") {
+        let is_here = owner == name || command.find_subcommand(owner).is_some();
+        if shell == Shell::Fish && argument != "from" && is_here {
             let condition = match owner == name {
                 true => String::new(),
                 false => format!(" -n \"__fish_sweepd_using_subcommand {owner}\""),

@@ -50,8 +50,8 @@ fn the_commands_page_is_what_help_says() {
     );
 }
 
-/// What bash offers for a line whose last word is under way, as its function for `sweepd` does.
-fn completed(line: &[&str], root: &Path) -> Vec<String> {
+/// What bash offers in a folder for a line whose last word is under way, as its function for `sweepd` does.
+fn completed(line: &[&str], root: &Path, folder: &Path) -> Vec<String> {
     let script = r#"source <(sweepd completions bash)
         function=$(complete -p sweepd | sed 's/.* -F \([^ ]*\) .*/\1/')
         COMP_WORDS=(sweepd "$@") COMP_CWORD=$#
@@ -62,6 +62,7 @@ fn completed(line: &[&str], root: &Path) -> Vec<String> {
     let path = std::env::var("PATH").unwrap();
     let programs = program().parent().unwrap().display().to_string();
     bash.env("PATH", format!("{programs}:{path}"))
+        .current_dir(folder)
         .env("SWEEPD_ROOT", root);
     let output = bash.output().unwrap();
     assert!(output.status.success(), "{output:?}");
@@ -73,6 +74,8 @@ fn completed(line: &[&str], root: &Path) -> Vec<String> {
 fn bash_completes_commands_options_models_scenes_and_sensors() {
     tool("sweepd-view");
     let own = temp_domain();
+    let folder = Folder::new("completed");
+    folder.write("roof $(drive).pcap", "");
     for (line, expected) in [
         (&["rep"][..], &["replay"][..]),
         (&["replay", "--pn"], &["--png"]),
@@ -86,7 +89,11 @@ fn bash_completes_commands_options_models_scenes_and_sensors() {
         ),
         (&["watch", "ro"], &[""]),
     ] {
-        assert_eq!(completed(line, own.root()), expected, "{line:?}");
+        assert_eq!(
+            completed(line, own.root(), folder.0.path()),
+            expected,
+            "{line:?}"
+        );
     }
     let root = own.root().to_str().unwrap();
     let capture = "pcap_fixtures/street_vlp16_losses.pcap";
@@ -110,12 +117,16 @@ fn bash_completes_commands_options_models_scenes_and_sensors() {
         assert!(begun.elapsed() < Duration::from_secs(20));
         std::thread::sleep(Duration::from_millis(20));
     }
-    for line in [
-        &["watch", "ro"][..],
-        &["record", "--from", ""],
-        &["view", "ro"],
+    for (line, expected) in [
+        (&["watch", "ro"][..], &["roof"][..]),
+        (&["record", "--from", ""], &["roof"]),
+        (&["view", "ro"], &["roof", "roof $(drive).pcap"]),
     ] {
-        assert_eq!(completed(line, own.root()), ["roof"], "{line:?}");
+        assert_eq!(
+            completed(line, own.root(), folder.0.path()),
+            expected,
+            "{line:?}"
+        );
     }
     shares.kill().unwrap();
     shares.wait().unwrap();
