@@ -124,7 +124,7 @@ fn check_says_the_same_to_programs() {
         ("address", json!("192.168.1.202:2368")),
         ("port", json!(2369)),
         ("position_port", json!(8308)),
-        ("model", json!("vlp16")),
+        ("model", json!("VLP-16")),
         ("returns", json!("single")),
         ("cut_azimuth_deg", json!(90.0)),
         ("service", json!("sweepd/rear/sweep")),
@@ -147,6 +147,35 @@ fn check_says_the_same_to_programs() {
     assert_eq!(
         told["problems"],
         json!([{"line": 13, "column": 8, "what": "`port` cannot be 0", "expected": "expected 1 to 65535", "cure": null}])
+    );
+}
+
+#[test]
+fn programs_get_methods_and_ports_as_the_file_has_them() {
+    let folder = Folder::new("config-settings");
+    let mut file = String::new();
+    for (number, settings) in [
+        "bind = \"127.0.0.1\"\nsegment = { method = \"slope\" }",
+        "multicast = \"239.1.1.1\"\ninterface = \"lo\"\nsegment = { method = \"paper\", theta_deg = 12.5 }",
+    ]
+    .iter()
+    .enumerate()
+    {
+        file += &format!(
+            "[[sensor]]\nname = \"s{number}\"\naddress = \"10.0.0.1\"\nport = {}\n{settings}\n",
+            3000 + number
+        );
+    }
+    let file = folder.write("robot.toml", file);
+    let told = sweepd(&["config", "check", "--json", file.to_str().unwrap()]).done();
+    let told: Value = serde_json::from_str(&told).unwrap();
+    assert_eq!(
+        told["sensors"][0]["settings"],
+        json!({"port": 3000, "bind": "127.0.0.1"})
+    );
+    assert_eq!(
+        told["sensors"][1]["settings"],
+        json!({"port": 3001, "multicast": "239.1.1.1", "interface": "lo", "segment.method": "paper", "segment.theta_deg": 12.5})
     );
 }
 

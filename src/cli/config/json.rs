@@ -115,7 +115,7 @@ impl<'a> CheckedSensor<'a> {
             address: super::source(sensor),
             port: sensor.port.port,
             position_port: sensor.position_port,
-            model: config.model.map(|model| model.flag()),
+            model: config.model.map(|model| model.name()),
             returns: sensor.dual.map(|dual| if dual { "dual" } else { "single" }),
             cut_azimuth_deg: rounded(config.cut_azimuth_rad.to_degrees()),
             mount: MountReport {

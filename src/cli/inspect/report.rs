@@ -1,4 +1,4 @@
-//! What `sweepd inspect --json` prints, by the names that `replay --json` and `doctor --json` have.
+//! What `sweepd inspect --json` prints, by the names that `replay --json` has.
 
 use std::net::{IpAddr, SocketAddr};
 
