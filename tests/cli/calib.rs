@@ -181,6 +181,12 @@ fn calibrations_that_differ_are_reported_beam_by_beam() {
             .to_vec()
         ]
     );
+}
+
+#[test]
+fn a_calibration_of_fewer_beams_differs_and_one_says_what_it_fits() {
+    let folder = Folder::new("calib-fewer");
+    let a = folder.write("a.yaml", ros_yaml::emit(&unit()));
     let fewer = folder.write(
         "c.yaml",
         ros_yaml::emit(Model::Hdl32e.calibration().unwrap()),

@@ -57,18 +57,18 @@ fn a_capture_is_described_in_full() {
     );
 }
 
-/// The numbers of the text, and those of `replay --json` by the same names.
+/// The last object that a command prints of a capture.
+fn last_json(command: &str, file: &str) -> Value {
+    let file = fixture(file);
+    let told = sweepd(&[command, file.to_str().unwrap(), "--json"]).done();
+    let values = serde_json::Deserializer::from_str(&told).into_iter();
+    values.last().unwrap().unwrap()
+}
+
+/// The numbers of the text.
 #[test]
 fn programs_get_the_same() {
-    let json = |command: &str, file: &str| -> Vec<Value> {
-        let file = fixture(file);
-        let told = sweepd(&[command, file.to_str().unwrap(), "--json"]).done();
-        let values = serde_json::Deserializer::from_str(&told).into_iter();
-        values.map(Result::unwrap).collect()
-    };
-    let [told] = &json("inspect", "street_vlp16_losses.pcap")[..] else {
-        panic!("one object")
-    };
+    let told = last_json("inspect", "street_vlp16_losses.pcap");
     let sensor = &told["sensors"][0];
     for (key, value) in [
         ("sensor", json!("192.168.1.201:2368")),
@@ -92,26 +92,6 @@ fn programs_get_the_same() {
     assert!((rpm - 600.0).abs() < 1.0, "{rpm}");
     let height_m = sensor["floor"]["height_m"].as_f64().unwrap();
     assert!((1.0..2.5).contains(&height_m), "{sensor}");
-    let summary = &json("replay", "street_vlp16_losses.pcap").pop().unwrap()["summary"];
-    for key in [
-        "model",
-        "model_basis",
-        "lost_packets",
-        "reordered",
-        "duplicates",
-        "return_modes",
-    ] {
-        assert_eq!(sensor[key], summary["sensors"][0][key], "{key}");
-    }
-    for key in [
-        "name",
-        "records",
-        "datagrams",
-        "other_traffic",
-        "breaks_off",
-    ] {
-        assert_eq!(told["capture"][key], summary["capture"][key], "{key}");
-    }
     let position = &told["positions"][0];
     assert_eq!(
         (
@@ -123,8 +103,35 @@ fn programs_get_the_same() {
     );
     // 2026-05-04 10:17:23 UTC, by date(1).
     assert_eq!(position["utc_ns"], json!(1_777_889_843_000_000_000_i64));
-    let unit = &json("inspect", "street_hdl64e_s3.pcap.gz")[0]["sensors"][0]["unit"];
+    let told = last_json("inspect", "street_hdl64e_s3.pcap.gz");
+    let unit = &told["sensors"][0]["unit"];
     assert_eq!(unit["series"], json!("S3"), "{unit}");
+}
+
+#[test]
+fn what_inspect_and_replay_count_has_the_same_names() {
+    let told = last_json("inspect", "street_vlp16_losses.pcap");
+    let replayed = last_json("replay", "street_vlp16_losses.pcap");
+    let summary = &replayed["summary"];
+    for key in [
+        "model",
+        "model_basis",
+        "lost_packets",
+        "reordered",
+        "duplicates",
+        "return_modes",
+    ] {
+        assert_eq!(told["sensors"][0][key], summary["sensors"][0][key], "{key}");
+    }
+    for key in [
+        "name",
+        "records",
+        "datagrams",
+        "other_traffic",
+        "breaks_off",
+    ] {
+        assert_eq!(told["capture"][key], summary["capture"][key], "{key}");
+    }
 }
 
 #[test]
