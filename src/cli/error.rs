@@ -130,7 +130,7 @@ impl Exit {
             Self::Failed => "failed, or something is wrong: standard error says what",
             Self::Usage => "wrong options or arguments",
             Self::NoInput => "a file that was given is not there, or cannot be read",
-            Self::Config => "the configuration cannot be meant: correct it, and start again",
+            Self::Config => "the configuration is invalid: correct it, then start again",
         }
     }
 
