@@ -62,11 +62,16 @@ impl Folder {
     /// Fails unless a run fails with one error that holds all of `parts`.
     #[track_caller]
     fn refuses(&self, options: &[&str], parts: &[&str]) {
+        self.ends_with(1, options, parts);
+    }
+
+    /// The same, with another exit code.
+    fn ends_with(&self, code: i32, options: &[&str], parts: &[&str]) {
         let output = self.run(options);
         let said = String::from_utf8(output.stderr).unwrap();
         assert_eq!(
             (output.status.code(), said.lines().count()),
-            (Some(1), 1),
+            (Some(code), 1),
             "{said}"
         );
         let lacking: Vec<_> = parts.iter().filter(|part| !said.contains(**part)).collect();
@@ -482,7 +487,7 @@ fn what_cannot_be_scored_is_named_with_its_cure() {
     std::fs::remove_dir_all(folder.path("scans/00")).unwrap();
     folder.refuses(pred, &["scans: no scans", "NAME.bin"]);
     std::fs::remove_dir_all(folder.path("scans")).unwrap();
-    folder.refuses(pred, &["cannot read scans"]);
+    folder.ends_with(66, pred, &["cannot read scans"]);
     folder.scan("00/000000", &points, &truth);
     folder.refuses(&["--methods", "--theta", "0"], &["theta is 0 degrees"]);
     folder.refuses(
