@@ -268,6 +268,8 @@ impl Page {
             "sequence": sweep.header.sequence,
             "missed": self.missed,
             "tuned": is_tuned,
+            // Of a sweep as it is: its tuned copy follows, or why there is none.
+            "paired": self.config.is_some(),
         });
         self.say("sweep", message).await?;
         self.socket.send(Message::Binary(bytes.clone())).await

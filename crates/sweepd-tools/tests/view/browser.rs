@@ -649,7 +649,7 @@ fn what_is_pointed_at_is_marked_everywhere() {
 
 #[test]
 #[cfg_attr(without_chromium, ignore = "no chromium")]
-fn keys_time_line_and_sliders_do_what_they_say() {
+fn keys_and_the_time_line_do_what_they_say() {
     let view = View::start(&[&fixture("street_hdl32e.pcap.gz")]);
     let mut tab = Tab::open(&format!("http://{}/#sweep=0", view.host));
     tab.wait_for("window.sweepd.index === 0");
@@ -669,7 +669,15 @@ fn keys_time_line_and_sliders_do_what_they_say() {
     tab.wait_for("document.querySelector('#state').textContent === 'paused'");
     tab.value("location.hash = '#sweep=2'");
     tab.wait_for("window.sweepd.index === 1 && !window.sweepd.tuned");
+    tab.close();
+}
 
+#[test]
+#[cfg_attr(without_chromium, ignore = "no chromium")]
+fn sliders_do_what_they_say() {
+    let view = View::start(&[&fixture("street_hdl32e.pcap.gz")]);
+    let mut tab = Tab::open(&format!("http://{}/#sweep=2", view.host));
+    tab.wait_for("window.sweepd.index === 1 && !window.sweepd.tuned");
     let segments = "Number(document.querySelector('#count').textContent)";
     // The page writes words a moment later than it draws.
     tab.wait_for(&format!(
@@ -677,13 +685,10 @@ fn keys_time_line_and_sliders_do_what_they_say() {
     ));
     let before = tab.number(segments);
     tab.value("document.querySelector('[data-tab=tuning]').click()");
-    let slide = |value: &str| {
-        format!(
-            "(() => {{ const {{ slider }} = window.sweepd.page.tuning.rows.get('min_points'); \
-             slider.value = {value}; slider.dispatchEvent(new Event('input')); }})()"
-        )
-    };
-    tab.value(&slide("slider.min"));
+    tab.value(
+        "(() => { const { slider } = window.sweepd.page.tuning.rows.get('min_points'); \
+         slider.value = slider.min; slider.dispatchEvent(new Event('input')); })()",
+    );
     tab.wait_for("window.sweepd.tuned");
     tab.wait_for(&format!(
         "{segments} > {before} && {segments} === window.sweepd.page.shown.segments.length"
@@ -722,6 +727,34 @@ fn keys_time_line_and_sliders_do_what_they_say() {
     assert!(lines.starts_with("[sensor.segment]"), "{lines}");
     tab.value("document.querySelector('[data-part=reset]').click()");
     tab.wait_for(&format!("!window.sweepd.tuned && {segments} === {before}"));
+    tab.close();
+}
+
+fn limit_range(tab: &mut Tab, metres: &str) {
+    tab.value(&format!(
+        "(() => {{ const {{ number }} = window.sweepd.page.tuning.rows.get('max_range_m'); \
+         number.value = '{metres}'; number.dispatchEvent(new Event('change')); }})()"
+    ));
+}
+
+/// A change that is refused says so. The sweeps go on, as they were segmented before.
+#[test]
+#[cfg_attr(without_chromium, ignore = "no chromium")]
+fn a_refused_change_holds_up_no_sweep() {
+    let view = View::start(&["--simulate", "vlp16"]);
+    let mut tab = Tab::open(&format!("http://{}/", view.host));
+    for is_tuned in [false, true] {
+        if is_tuned {
+            limit_range(&mut tab, "40");
+            tab.wait_for("window.sweepd.tuned");
+        }
+        limit_range(&mut tab, "0");
+        tab.wait_for("!document.querySelector('[data-part=refused]').hidden");
+        let index = tab.number("window.sweepd.index");
+        tab.wait_for(&format!(
+            "window.sweepd.index !== {index} && window.sweepd.tuned === {is_tuned}"
+        ));
+    }
     tab.close();
 }
 

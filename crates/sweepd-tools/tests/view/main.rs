@@ -5,6 +5,8 @@
 mod access;
 #[cfg(feature = "slow-tests")]
 mod browser;
+#[cfg(feature = "slow-tests")]
+mod camera;
 mod captures;
 #[cfg(feature = "slow-tests")]
 mod colours;

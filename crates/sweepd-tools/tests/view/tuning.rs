@@ -49,6 +49,7 @@ fn a_tuned_sweep_is_that_of_a_sensor_configured_so() {
     let pair = [page.sweep(), page.sweep()];
     assert_eq!([0, 1].map(|one| pair[one].index()), [0, 0]);
     assert_eq!([0, 1].map(|one| pair[one].is_tuned()), [false, true]);
+    assert_eq!(pair[0].about["paired"], true);
     let expected_sweep = SweepRef::open(expected[0].as_ref()).unwrap();
     assert!(pair[1].sweep().label == expected_sweep.label);
     page.drawn();
@@ -164,6 +165,8 @@ fn what_no_sensor_could_be_set_to_is_refused() {
         assert!(text.starts_with(why), "{text}");
     }
     assert!(page.sweep_within(Duration::from_millis(300)).is_none());
+    // It holds nothing, so that no sweep waits for a tuned copy.
+    assert_eq!(page.seek(1).about["paired"], false);
 }
 
 /// The lines are read by the daemon itself.

@@ -3,7 +3,7 @@
 
 import { Camera, VIEWS, project } from "./camera.js";
 import * as palette from "./palette.js";
-import { LABEL_FIRST_SEGMENT, LABEL_GROUND, OTHER, Points, moved, movedSegment } from "./sweep.js";
+import { LABEL_FIRST_SEGMENT, LABEL_GROUND, OTHER, PARTIAL, Points, moved, movedSegment } from "./sweep.js";
 
 /** What points can be coloured by. */
 export const COLOURS = {
@@ -132,17 +132,17 @@ export class CloudView {
   look(view) {
     this.camera.look(view);
     this.fit();
-    // As the sensor sees, from where it is.
-    if (view === "sensor") this.camera.target = [...moved(this.last.pose, [0, 0, 0])];
     this.touch();
   }
 
-  /** Fits the camera to the first points; later, where nobody moved it, to another shape of the view. */
+  /** Fits the camera to the points that it was not fitted to yet; where nobody moved it, to another shape of the view. */
   fit() {
-    const { camera } = this;
+    const { camera, last } = this;
     const { width, height } = this.area(0);
     const isMine = camera.held && camera.aspect !== null;
-    if (height > 0 && !isMine && camera.aspect !== width / height) camera.fit(this.last.points, width / height);
+    if (height > 0 && !isMine && camera.aspect !== width / height) camera.fit(last.points, width / height);
+    // As the sensor sees, from where it is.
+    if (camera.view === "sensor") camera.target = [...moved(last.pose, [0, 0, 0])];
   }
 
   /** The side that is shown last. */
@@ -197,7 +197,8 @@ export class CloudView {
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.clearRect(0, 0, width, height);
     if (width === 0 || height === 0) return false;
-    this.fit();
+    // Part of a turn does not tell where the points of the next one are.
+    if (this.last.sweep?.has(PARTIAL) === false) this.fit();
     gl.enable(gl.SCISSOR_TEST);
     this.shown.forEach((index, place) => {
       const area = this.area(place);

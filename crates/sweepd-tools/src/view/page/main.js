@@ -1,8 +1,8 @@
 // The page of `sweepd view`: the socket, and one selection for all views.
 //
 // What the page needs of a browser: ES modules, WebGL 2, Canvas 2D, WebSocket with ArrayBuffers, DataView with
-// BigInt64, typed arrays, Pointer Events, ResizeObserver, replaceChildren, dialog, CSS grid and inset; the clipboard where
-// it is allowed. Chromium 87, Firefox 98 and Safari 15.4 have them all.
+// BigInt64, typed arrays, Pointer Events, ResizeObserver, replaceChildren, dialog, inert, CSS grid and inset; the clipboard
+// where it is allowed. Chromium 102, Firefox 112 and Safari 15.5 have them all.
 //
 // Tests read the page's state as `window.sweepd`.
 
@@ -35,11 +35,16 @@ class Page {
     /** The sweep that is shown, as it is and tuned, and what the server said of it. */
     this.sweeps = [null, null];
     this.notice = null;
+    /** The sensor that is shown. */
+    this.sensor = null;
     /** The newest sweep as it is, which may wait for its tuned copy. */
     this.come = null;
     /** The sweep of the side that is looked at, and what the server said of one that is not drawn yet. */
     this.shown = null;
     this.waiting = null;
+    /** The timer that will ask for the next sweep, null where none runs; tests make its time longer. */
+    this.later = null;
+    this.calmMs = CALM_MS;
     this.head = null;
     this.selection = null;
     /** What the pointer is over, or what was clicked: a pixel or a label, and by which view. */
@@ -89,7 +94,7 @@ class Page {
         else this.receive(data);
       } catch (error) {
         this.fail(error);
-        this.send({ do: "drawn" });
+        this.next();
       }
     });
     socket.addEventListener("close", () => {
@@ -101,6 +106,13 @@ class Page {
 
   send(what) {
     if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(what));
+  }
+
+  /** Asks for the next sweep. */
+  next() {
+    clearTimeout(this.later);
+    this.later = null;
+    this.send({ do: "drawn" });
   }
 
   message(message) {
@@ -153,6 +165,8 @@ class Page {
     this.timeline.state(this.state);
     this.link();
     this.wordsDue = true;
+    // A step after a pause waits for nothing.
+    if (this.later !== null && !this.state.playing) this.next();
   }
 
   /** One sweep's bytes: shown, and the server is told when it is drawn. */
@@ -166,8 +180,8 @@ class Page {
     this.waiting ??= head;
     if (!head.tuned) {
       this.come = { head, sweep };
-      // Its tuned copy follows, and both are shown at once: never the points of one moment and the labels of another.
-      if (!this.tuning.active) this.take(null);
+      // Where a tuned copy follows, both are shown at once: never the points of one moment and the labels of another.
+      if (!head.paired || !this.tuning.active) this.take(null);
     } else if (this.tuning.active && head.sequence === this.come?.head.sequence) {
       this.tuning.compareCounts(this.come.sweep, sweep);
       this.take(sweep);
@@ -177,6 +191,9 @@ class Page {
   /** Shows the newest sweep, and its tuned copy where there is one. */
   take(tuned) {
     const { head, sweep } = this.come;
+    // Of several sensors in a capture, the next one follows without a gap.
+    if (sweep.header.name !== this.sensor) this.forget();
+    this.sensor = sweep.header.name;
     this.notice = head;
     this.status.index = head.index;
     this.status.sequence = head.sequence;
@@ -196,17 +213,22 @@ class Page {
 
   /** Nothing is shown: another sensor was chosen, of which no sweep has come. */
   clear() {
+    this.forget();
     this.sweeps = [null, null];
-    this.pointed = null;
-    this.pinned = null;
     this.notice = null;
     this.come = null;
-    this.plots.clear();
-    this.cloud.look(this.cloud.camera.view);
     this.show();
     if (this.waiting === null) return;
     this.waiting = null;
-    this.send({ do: "drawn" });
+    this.next();
+  }
+
+  /** What was pointed at and plotted, and where the camera is, says nothing of another sensor. */
+  forget() {
+    this.pointed = null;
+    this.pinned = null;
+    this.plots.clear();
+    this.cloud.camera.look(this.cloud.camera.view);
   }
 
   /** The sweep of a side, or what there is instead. */
@@ -234,7 +256,7 @@ class Page {
     this.table.show(this.cloud.last.segments);
     find("count").textContent = String(this.shown?.segments.length ?? "");
     find("none").hidden = this.shown !== null;
-    find("second").hidden = this.shown?.range2 === null;
+    find("second").hidden = !this.shown?.range2;
     find("unmounted").hidden = this.poseOf(this.shown) === null || this.shown.isMounted;
     // The pointer stays where it is, and other points come to lie under it.
     if (this.pointed?.by === "cloud" && this.cloud.pointer !== null) {
@@ -275,8 +297,8 @@ class Page {
     this.status.latency_ms = sorted[sorted.length >> 1];
     this.status.drawing_ms = now - before;
     if (!head.tuned) this.plot(head, now);
-    if (calm.matches && this.state.playing) setTimeout(() => this.send({ do: "drawn" }), CALM_MS);
-    else this.send({ do: "drawn" });
+    if (calm.matches && this.state.playing) this.later ??= setTimeout(() => this.next(), this.calmMs);
+    else this.next();
   }
 
   /**
