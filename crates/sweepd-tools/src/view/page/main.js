@@ -191,7 +191,7 @@ class Page {
   /** Shows the newest sweep, and its tuned copy where there is one. */
   take(tuned) {
     const { head, sweep } = this.come;
-    // Of several sensors in a capture, the next one follows without a gap.
+    // Another sensor may follow without a gap. In a capture none has a name, and the camera stays.
     if (sweep.header.name !== this.sensor) this.forget();
     this.sensor = sweep.header.name;
     this.notice = head;
