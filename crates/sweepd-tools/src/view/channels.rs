@@ -95,6 +95,8 @@ pub(super) struct Frame {
     /// Number among all that could have been shown since the start: it grows by more than 1 where
     /// this program missed some.
     pub ordinal: u64,
+    /// The number of its sensor: it grows where another one is chosen.
+    pub sensor: u64,
     /// The bytes that docs/layout.md defines.
     pub bytes: Bytes,
 }
@@ -130,6 +132,7 @@ pub(super) struct Publisher {
     pub(super) commands: Receiver<Command>,
     over: Arc<AtomicBool>,
     ordinal: u64,
+    sensor: u64,
     floor: FloorFinder,
 }
 
@@ -150,6 +153,7 @@ pub(super) fn channels(
         commands: for_commands,
         over,
         ordinal: 0,
+        sensor: 0,
         floor: FloorFinder::new(Mount::default()),
     };
     let channels = Channels {
@@ -203,6 +207,7 @@ impl Publisher {
         let frame = Frame {
             index,
             ordinal: self.ordinal,
+            sensor: self.sensor,
             bytes,
         };
         self.frame.send_replace(Some(Arc::new(frame)));
@@ -227,14 +232,15 @@ impl Publisher {
     }
 
     /// What comes next is of another sensor, which sits elsewhere.
-    pub(super) fn forget_floor(&mut self) {
+    pub(super) fn change_sensor(&mut self) {
+        self.sensor += 1;
         self.floor = FloorFinder::new(Mount::default());
         self.describe(|now| now.floor = Value::Null);
     }
 
     /// Shows nothing.
     pub(super) fn clear(&mut self) {
-        self.forget_floor();
+        self.change_sensor();
         self.frame.send_replace(None);
     }
 }

@@ -266,6 +266,7 @@ impl Page {
         let message = json!({
             "index": frame.index,
             "sequence": sweep.header.sequence,
+            "sensor": frame.sensor,
             "missed": self.missed,
             "tuned": is_tuned,
             // Of a sweep as it is: its tuned copy follows, or why there is none.

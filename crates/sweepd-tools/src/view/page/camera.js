@@ -12,10 +12,11 @@ export const VIEWS = {
   // As the sensor sees: turning looks around, zooming narrows the field.
   sensor: { yaw: 0, pitch: 0, field: 1.25, distance: 0 },
 };
-/** The part of the points that a view shows, and that of those whose middle it looks at: few are far out. */
+/** Share of the points that a view shows. */
 const SHOWN = 0.97;
+/** Share of the points whose middle it looks at: the rest lie far out. */
 const INNER = 0.9;
-/** So many points tell where all are. */
+/** At most this many points are sampled to fit the camera. */
 const SAMPLES = 4000;
 
 export class Camera {

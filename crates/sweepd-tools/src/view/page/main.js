@@ -35,10 +35,10 @@ class Page {
     /** The sweep that is shown, as it is and tuned, and what the server said of it. */
     this.sweeps = [null, null];
     this.notice = null;
-    /** The sensor that is shown. */
+    /** The number of the sensor that is shown. */
     this.sensor = null;
     /** The newest sweep as it is, which may wait for its tuned copy. */
-    this.come = null;
+    this.newest = null;
     /** The sweep of the side that is looked at, and what the server said of one that is not drawn yet. */
     this.shown = null;
     this.waiting = null;
@@ -179,21 +179,21 @@ class Page {
     // A sweep and its tuned copy may come before either is drawn.
     this.waiting ??= head;
     if (!head.tuned) {
-      this.come = { head, sweep };
+      this.newest = { head, sweep };
       // Where a tuned copy follows, both are shown at once: never the points of one moment and the labels of another.
       if (!head.paired || !this.tuning.active) this.take(null);
-    } else if (this.tuning.active && head.sequence === this.come?.head.sequence) {
-      this.tuning.compareCounts(this.come.sweep, sweep);
+    } else if (this.tuning.active && head.sequence === this.newest?.head.sequence) {
+      this.tuning.compareCounts(this.newest.sweep, sweep);
       this.take(sweep);
     }
   }
 
   /** Shows the newest sweep, and its tuned copy where there is one. */
   take(tuned) {
-    const { head, sweep } = this.come;
-    // Another sensor may follow without a gap. In a capture none has a name, and the camera stays.
-    if (sweep.header.name !== this.sensor) this.forget();
-    this.sensor = sweep.header.name;
+    const { head, sweep } = this.newest;
+    // In a capture, another sensor follows without a gap.
+    if (head.sensor !== this.sensor) this.forget();
+    this.sensor = head.sensor;
     this.notice = head;
     this.status.index = head.index;
     this.status.sequence = head.sequence;
@@ -206,7 +206,7 @@ class Page {
   refuse(text) {
     this.tuning.refuse(text);
     // There is no tuned copy of it.
-    if (this.come !== null && this.come.sweep !== this.sweeps[0]) this.take(null);
+    if (this.newest !== null && this.newest.sweep !== this.sweeps[0]) this.take(null);
   }
 
   // ---- What is shown
@@ -216,7 +216,7 @@ class Page {
     this.forget();
     this.sweeps = [null, null];
     this.notice = null;
-    this.come = null;
+    this.newest = null;
     this.show();
     if (this.waiting === null) return;
     this.waiting = null;
@@ -268,7 +268,7 @@ class Page {
 
   /** What is compared has changed, or tuning has ended. */
   compare() {
-    if (!this.come) return;
+    if (!this.newest) return;
     if (this.tuning.active) this.show();
     else this.take(null);
   }
@@ -306,7 +306,7 @@ class Page {
    * capture, from receipt to picture.
    */
   plot(head, now) {
-    const { header } = this.come.sweep;
+    const { header } = this.newest.sweep;
     const age = Date.now() - Number(header.arrival_ns) / 1e6;
     // A capture that is played as a sensor has arrival times of its own.
     const isLive = this.source?.kind === "sensor" && age > -50 && age < 60000;

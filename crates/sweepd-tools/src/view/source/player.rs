@@ -28,7 +28,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(50);
 const LATE: Duration = Duration::from_millis(50);
 /// How long the last sweep is seen before the first comes again.
 const LAST: Duration = Duration::from_millis(500);
-/// A capture of so few sweeps begins again by itself: it would be over before somebody looks.
+/// A capture of at most this many sweeps begins again by itself: else it would be over before anybody looks.
 const SHORT: u64 = 100;
 /// Longest pause of a capture that is played as long, nanoseconds.
 const PAUSE_NS: i64 = 10_000_000_000;
@@ -208,7 +208,7 @@ impl Player {
         }
     }
 
-    /// Whether a capture of so many sweeps does at its end. What is broken stays where it broke.
+    /// Whether a capture of this many sweeps plays again at its end; a broken one does not.
     fn begins_again(&self, sweeps: u64) -> bool {
         sweeps > 1 && (self.is_endless || sweeps <= SHORT && self.trouble().is_none())
     }
@@ -246,7 +246,7 @@ impl Player {
                     && sensor != self.sensor()
                 {
                     self.sensor.store(sensor, Ordering::Relaxed);
-                    self.publisher.forget_floor();
+                    self.publisher.change_sensor();
                     self.publisher
                         .describe(|now| (now.sweeps, now.marks) = (Some(0), Vec::new()));
                     self.restart();
