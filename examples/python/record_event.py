@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import sweepd
 
 # Least and greatest x (right), y (ahead) and z (up), metres. It reaches below the ground, which is no thing.
@@ -26,7 +27,8 @@ try:
             continue
         if sweep.header["height_m"] == 0:
             print(f"there are no objects before the height of {sensor} is known", file=sys.stderr, flush=True)
-        things = sweep.points("robot")[sweep.label >= 2]
+        labels = [sweep.label] if sweep.label2 is None else [sweep.label, sweep.label2]
+        things = np.concatenate([sweep.points("robot", other=i > 0)[label >= 2] for i, label in enumerate(labels)])
         if ((things > LEAST_M) & (things < MOST_M)).all(axis=1).sum() >= RETURNS:
             file = f"event_{time.time_ns() // 1_000_000}.pcap"
             print(f"recording {file}", flush=True)

@@ -5,6 +5,7 @@ Silence does not mean that a zone is free: docs/segmentation.md says which thing
 
 import sys
 
+import numpy as np
 import sweepd
 
 # Least and greatest x (right), y (ahead) and z (up), metres. They reach below the ground, which is no thing.
@@ -25,7 +26,8 @@ try:
             continue
         if sweep.header["height_m"] == 0:
             print(f"there are no objects before the height of {sensor} is known", file=sys.stderr, flush=True)
-        things = sweep.points("robot")[sweep.label >= 2]
+        labels = [sweep.label] if sweep.label2 is None else [sweep.label, sweep.label2]
+        things = np.concatenate([sweep.points("robot", other=i > 0)[label >= 2] for i, label in enumerate(labels)])
         for zone, (least_m, most_m) in ZONES_M.items():
             is_occupied = ((things > least_m) & (things < most_m)).all(axis=1).sum() >= RETURNS
             if is_occupied and empty[zone] >= GONE:
