@@ -123,7 +123,7 @@ fn row(text: &mut String, name: &str, value: impl Display) {
     let _ = writeln!(text, "  {name:<13}  {value}");
 }
 
-fn describe_sensor(text: &mut String, sensor: &SensorConfig, settings: &[String]) {
+fn describe_sensor(text: &mut String, sensor: &SensorConfig, settings: &[(String, &str)]) {
     let SensorConfig { name, address, .. } = sensor;
     let _ = writeln!(text, "\n{name}");
     let source = source(sensor);
@@ -156,9 +156,9 @@ fn describe_sensor(text: &mut String, sensor: &SensorConfig, settings: &[String]
     );
     row(text, "objects", objects);
     // All that is not the default, by the names of its keys: what is described above and what is not.
-    for (number, setting) in settings.iter().enumerate() {
+    for (number, (key, value)) in settings.iter().enumerate() {
         let name = if number == 0 { "settings" } else { "" };
-        row(text, name, setting);
+        row(text, name, format_args!("{key} = {value}"));
     }
 }
 

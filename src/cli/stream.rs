@@ -47,7 +47,7 @@ pub fn ended(error: CliError, places: &[String]) -> CliError {
 /// As [`print`].
 pub fn print_json(object: &impl Serialize) -> Result<(), CliError> {
     let text = serde_json::to_string_pretty(object);
-    print(text.map_err(|error| CliError::Stdout(error.into()))? + "\n")
+    print(text.map_err(|error| CliError::Failed(error.to_string()))? + "\n")
 }
 
 /// A file under way.

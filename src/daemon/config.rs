@@ -107,9 +107,9 @@ pub fn read_text(path: &Path) -> Result<String, ConfigError> {
     })
 }
 
-/// What a configuration without faults sets, sensor by sensor, to something else than the default,
-/// as it is written there: `mount.z_m = 1.5`. Name and address are left out.
-pub fn differing(text: &str) -> Vec<Vec<String>> {
+/// What a configuration without faults sets, sensor by sensor, to something else than the default:
+/// names such as `mount.z_m`, and values as they are written there. Name and address are left out.
+pub fn differing(text: &str) -> Vec<Vec<(String, &str)>> {
     let Ok((file, _)) = file::read(text, Path::new("")) else {
         return Vec::new();
     };

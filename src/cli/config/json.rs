@@ -64,7 +64,7 @@ struct Recording<'a> {
     rotate_minutes: Option<f64>,
 }
 
-/// Of a file that cannot be meant.
+/// Of a file that is invalid.
 #[derive(Serialize)]
 pub(super) struct Refused<'a> {
     file: &'a Path,
@@ -72,18 +72,18 @@ pub(super) struct Refused<'a> {
 }
 
 impl<'a> Checked<'a> {
-    /// `settings` are lines as [`differing`](crate::daemon::config::differing) gives them.
+    /// `settings` are as [`differing`](crate::daemon::config::differing) gives them.
     pub(super) fn new(
         file: &'a Path,
         config: &'a Config,
-        settings: &[Vec<String>],
+        settings: &[Vec<(String, &str)>],
         shared_memory_bytes: [u64; 2],
         shared_memory_free_bytes: Option<u64>,
         warnings: &'a [String],
     ) -> Self {
         let mut sensors = Vec::new();
-        for (sensor, lines) in config.sensors.iter().zip(settings) {
-            sensors.push(CheckedSensor::new(sensor, lines));
+        for (sensor, settings) in config.sensors.iter().zip(settings) {
+            sensors.push(CheckedSensor::new(sensor, settings));
         }
         Self {
             file,
@@ -105,7 +105,7 @@ impl<'a> Checked<'a> {
 }
 
 impl<'a> CheckedSensor<'a> {
-    fn new(sensor: &'a SensorConfig, lines: &[String]) -> Self {
+    fn new(sensor: &'a SensorConfig, settings: &[(String, &str)]) -> Self {
         let config = &sensor.pipeline;
         let mount = &config.segment.mount;
         let [x_m, y_m, z_m] = config.position_m.map(|metres| rounded(f64::from(metres)));
@@ -132,16 +132,16 @@ impl<'a> CheckedSensor<'a> {
             service: format!("sweepd/{}/sweep", sensor.name),
             shared_memory_bytes: [*pool.start(), *pool.end()],
             objects_memory_bytes: memory::objects_bytes(sensor),
-            settings: lines.iter().filter_map(|line| setting(line)).collect(),
+            settings: settings.iter().map(setting).collect(),
         }
     }
 }
 
-/// Name and value of a line such as `mount.z_m = 1.5`.
-fn setting(line: &str) -> Option<(String, Value)> {
-    let (name, value) = line.split_once(" = ")?;
-    let mut read: Map<String, Value> = toml::from_str(&format!("value = {value}")).ok()?;
-    Some((name.to_owned(), read.remove("value")?))
+/// A setting and its value; what JSON does not know is text, as it is written.
+fn setting((name, value): &(String, &str)) -> (String, Value) {
+    let read: Option<Map<String, Value>> = toml::from_str(&format!("value = {value}")).ok();
+    let read = read.and_then(|mut read| read.remove("value"));
+    (name.clone(), read.unwrap_or_else(|| Value::from(*value)))
 }
 
 impl<'a> Refused<'a> {

@@ -146,10 +146,10 @@ impl<'t> Written<'t, SensorConfig> {
         }
     }
 
-    /// What is set to something else than the default, as `text`, the file, has it.
-    pub fn differing(&self, text: &str) -> Vec<String> {
+    /// Names and values of what is set to something else than the default, as `text`, the file, has them.
+    pub fn differing<'a>(&self, text: &'a str) -> Vec<(String, &'a str)> {
         let default = SensorConfig::default();
-        let mut lines = Vec::new();
+        let mut settings = Vec::new();
         for ((table, name), value) in &self.given {
             let mut alone = default.clone();
             let is_default = match form(table, name) {
@@ -172,10 +172,10 @@ impl<'t> Written<'t, SensorConfig> {
             if !is_default {
                 let dot = if table.is_empty() { "" } else { "." };
                 let value = text.get(value.span()).unwrap_or_default();
-                lines.push(format!("{table}{dot}{name} = {value}"));
+                settings.push((format!("{table}{dot}{name}"), value));
             }
         }
-        lines
+        settings
     }
 
     /// Numbers of [`SETTINGS`].
