@@ -139,7 +139,7 @@ impl FovEdge {
     }
 
     /// Whether no sector is known to be left out.
-    pub fn is_unseen(&self) -> bool {
+    pub fn is_unlimited(&self) -> bool {
         self.last.is_none()
     }
 

@@ -131,7 +131,7 @@ impl HeadTracker {
         let phase = ahead(self.cut_cdeg, last, self.sense);
         let is_on_the_way = advance > 0.0 && advance < TURN / 2.0 && phase + advance < TURN;
         let is_due = self.stopped || time_ns - since_ns >= STANDSTILL_NS;
-        if !is_on_the_way || is_due || !self.edge.is_unseen() {
+        if !is_on_the_way || is_due || !self.edge.is_unlimited() {
             return false;
         }
         self.last_cdeg = Some(azimuth_cdeg);

@@ -185,7 +185,7 @@ impl PacketOrder {
             self.begin_anew(index);
             return Ok(());
         };
-        // The newest packet is in use, so that its place is another one.
+        // `last` is in use, so `store` gave another place: this is always `Ok`.
         if let Ok([last, packet]) = self.packets.get_disjoint_mut([last, index]) {
             self.matcher.settle_silence(last, packet);
         }

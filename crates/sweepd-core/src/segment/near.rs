@@ -66,7 +66,7 @@ impl Gap {
     /// far aside.
     #[inline(always)]
     pub fn along<S: Simd>(self, flat: f32x16<S>, chords: f32x16<S>) -> i16x16<S> {
-        let gap = self.of(flat);
+        let gap = self.at(flat);
         let across = flat * chords;
         round((gap * gap - across * across).max(0.0).sqrt())
     }
@@ -75,11 +75,12 @@ impl Gap {
     /// the bit.
     #[inline(always)]
     pub fn straight<S: Simd>(self, flat: f32x16<S>) -> i16x16<S> {
-        round(self.of(flat))
+        round(self.at(flat))
     }
 
+    /// How long the gap is at this flat range.
     #[inline(always)]
-    fn of<S: Simd>(self, flat: f32x16<S>) -> f32x16<S> {
+    fn at<S: Simd>(self, flat: f32x16<S>) -> f32x16<S> {
         (flat * self.rad).max(self.least).min(self.most) + self.beyond
     }
 }

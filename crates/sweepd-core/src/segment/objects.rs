@@ -119,7 +119,7 @@ struct Extent {
     first: usize,
     last: usize,
     first_shot: Shot,
-    /// [Turned](Shot::turned).
+    /// [With its row flipped](Shot::with_row_flipped).
     last_shot: Shot,
     /// Its first pixel behind the cut, if there is one.
     first_behind: u32,
@@ -144,9 +144,9 @@ impl Shot {
         (self.0 & 0xFF) as usize
     }
 
-    /// With the rows turned round, or back. The last shot has the greatest then; of two at the same
+    /// With the row's bits flipped, or back. The last shot has the greatest then; of two at the same
     /// time, that with the lower row, too.
-    fn turned(self) -> Self {
+    fn with_row_flipped(self) -> Self {
         Self(self.0 ^ 0xFF)
     }
 }
@@ -390,7 +390,7 @@ impl Objects {
                 first,
                 last,
                 first_shot: shot(first),
-                last_shot: shot(last).turned(),
+                last_shot: shot(last).with_row_flipped(),
                 first_behind: u32::MAX,
             };
             if let Some(cut) = self.cut
@@ -677,7 +677,7 @@ fn object(sum: &Sum, extent: &Extent, reason: u32, strip: &Strip<'_>) -> Object 
         })
     };
     let (azimuth_first_rad, first_ns) = shot(extent.first_shot);
-    let (azimuth_last_rad, last_ns) = shot(extent.last_shot.turned());
+    let (azimuth_last_rad, last_ns) = shot(extent.last_shot.with_row_flipped());
     let first_pixel = match reason {
         why::SEAM => extent.first_behind,
         _ => sum.first,
