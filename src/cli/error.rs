@@ -129,7 +129,7 @@ impl Exit {
             Self::Done => "done, or the reader of standard output had enough (`| head`)",
             Self::Failed => "failed, or something is wrong: standard error says what",
             Self::Usage => "wrong options or arguments",
-            Self::NoInput => "a file that was given is not there, or cannot be read",
+            Self::NoInput => "a file that was given is not there, is a folder, or may not be read",
             Self::Config => "the configuration is invalid: correct it, then start again",
         }
     }
@@ -149,30 +149,27 @@ impl CliError {
             Self::Usage(_) => Exit::Usage,
             Self::Config(ConfigError::Invalid(_)) => Exit::Config,
             Self::NoInput(_) => Exit::NoInput,
-            _ if self.unread().is_some() => Exit::NoInput,
+            _ if self.cure().is_some() => Exit::NoInput,
             _ => Exit::Failed,
         }
     }
 
-    /// Why a file that was given cannot be read.
-    fn unread(&self) -> Option<&io::Error> {
-        match self {
+    /// What to do about a file that was given and is not there, is a folder or may not be read, to follow
+    /// the error. Other faults, as a disk that does not answer, may pass: they have no cure here.
+    fn cure(&self) -> Option<&'static str> {
+        let source = match self {
             Self::Capture(CaptureError::Open { source, .. })
             | Self::Calibration(CalibrationFileError::Io { source, .. })
             | Self::Config(ConfigError::Read { source, .. })
             | Self::Mask(MaskFileError::Io { source, .. })
-            | Self::Read { source, .. } => Some(source),
+            | Self::Read { source, .. } => source,
+            _ => return None,
+        };
+        match source.kind() {
+            io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => Some("; check the path"),
+            io::ErrorKind::IsADirectory => Some("; give a file in it"),
+            io::ErrorKind::PermissionDenied => Some("; allow this user to read it"),
             _ => None,
-        }
-    }
-
-    /// What to do about a file that cannot be read, to follow the error.
-    fn cure(&self) -> &'static str {
-        match self.unread().map(io::Error::kind) {
-            Some(io::ErrorKind::NotFound) => "; check the path",
-            Some(io::ErrorKind::IsADirectory) => "; give a file in it",
-            Some(io::ErrorKind::PermissionDenied) => "; allow this user to read it",
-            _ => "",
         }
     }
 }
@@ -187,7 +184,10 @@ pub(super) fn report(error: &CliError) {
             let _ = writeln!(io::stderr(), "{problems}");
         }
         _ if error.exit() == Exit::Done => {}
-        _ => complain("error", format_args!("{error}{}", error.cure())),
+        _ => complain(
+            "error",
+            format_args!("{error}{}", error.cure().unwrap_or_default()),
+        ),
     }
 }
 
@@ -224,4 +224,31 @@ pub fn read_calibration(path: &Path) -> Result<Calibration, CalibrationFileError
         complain(severity, &remark.text);
     }
     Ok(calibration)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A unit of systemd is not started again after 66.
+    #[test]
+    fn what_may_pass_is_tried_again() {
+        let ends = |kind: io::ErrorKind| {
+            let source = kind.into();
+            CliError::Config(ConfigError::Read {
+                path: "a.toml".into(),
+                source,
+            })
+            .exit()
+        };
+        assert_eq!(ends(io::ErrorKind::NotFound), Exit::NoInput);
+        assert_eq!(ends(io::ErrorKind::PermissionDenied), Exit::NoInput);
+        for kind in [
+            io::ErrorKind::TimedOut,
+            io::ErrorKind::Other,
+            io::ErrorKind::Interrupted,
+        ] {
+            assert_eq!(ends(kind), Exit::Failed, "{kind}");
+        }
+    }
 }

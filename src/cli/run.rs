@@ -172,7 +172,7 @@ fn log(level: Option<tracing::Level>) -> Result<(), CliError> {
         lines.finish().with(filter).init();
     } else {
         let lines = lines.compact().with_target(false);
-        // Unless it is said, the variable NO_COLOR decides.
+        // tracing-subscriber obeys NO_COLOR unless `with_ansi` is called.
         let lines = match std::io::stderr().is_terminal() {
             true => lines,
             false => lines.with_ansi(false),

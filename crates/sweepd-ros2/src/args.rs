@@ -31,7 +31,7 @@ Exit codes:
   0   done
   1   failed: standard error says what
   2   wrong options or arguments
-  66  a file of parameters is not there, or cannot be read
+  66  a file of parameters is not there, is a folder, or may not be read
   78  the parameters or the environment are invalid: correct them, then start again
 
 Examples:

@@ -58,7 +58,8 @@ const DIAGNOSTICS: &str = "/diagnostics";
 const TF_STATIC: &str = "/tf_static";
 const CLOCK: &str = "/clock";
 
-/// Exit code where a file that was given cannot be read (sysexits.h): a supervisor need not retry.
+/// Exit code where a file that was given is not there, is a folder, or may not be read (sysexits.h): a
+/// supervisor need not retry.
 const EX_NOINPUT: u8 = 66;
 /// Exit code where only other parameters help: it need not, either.
 const EX_CONFIG: u8 = 78;
@@ -172,10 +173,7 @@ impl From<ParameterError> for Failure {
     fn from(error: ParameterError) -> Self {
         Self {
             what: error.to_string(),
-            code: match error.is_unread {
-                true => EX_NOINPUT,
-                false => EX_CONFIG,
-            },
+            code: error.exit,
         }
     }
 }

@@ -26,6 +26,7 @@ use sweepd_sweep::{Header, Pose, SweepRef};
 use crate::names::NodeName;
 use crate::odometry::Source as OdometrySource;
 use crate::ros_args::{RosArgs, Source};
+use crate::{EX_CONFIG, EX_NOINPUT};
 pub use yaml::ParameterError;
 use yaml::{
     Tree, choice, find_sections, names, number, optional, place, read_tree, switch, text, texts,
@@ -190,7 +191,7 @@ impl Parameters {
             return Err(ParameterError {
                 place: "`deskew: tf` with an empty `base_frame`".to_owned(),
                 what: "it needs the name of the robot's frame in /tf, as `base_link`".to_owned(),
-                is_unread: false,
+                exit: EX_CONFIG,
             });
         }
         Ok(())
@@ -298,17 +299,19 @@ impl Parameters {
         match std::fs::read_to_string(file) {
             Ok(text) => self.parse(&text, &place, node),
             Err(error) => {
-                // The words of the driver.
-                let cure = match error.kind() {
-                    io::ErrorKind::NotFound => "; check the path",
-                    io::ErrorKind::IsADirectory => "; give a file in it",
-                    io::ErrorKind::PermissionDenied => "; allow this user to read it",
-                    _ => "",
+                // As `sweepd` says it. Other faults may pass.
+                let (cure, exit) = match error.kind() {
+                    io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => {
+                        ("; check the path", EX_NOINPUT)
+                    }
+                    io::ErrorKind::IsADirectory => ("; give a file in it", EX_NOINPUT),
+                    io::ErrorKind::PermissionDenied => ("; allow this user to read it", EX_NOINPUT),
+                    _ => ("", 1),
                 };
                 Err(ParameterError {
                     place,
                     what: format!("cannot be read: {error}{cure}"),
-                    is_unread: true,
+                    exit,
                 })
             }
         }
@@ -371,7 +374,7 @@ impl Parameters {
                     let error = ParameterError {
                         place: place(file, value.referenced),
                         what: format!("`{name}`: {what}"),
-                        is_unread: false,
+                        exit: EX_CONFIG,
                     };
                     let Some((sensor, _)) = name.rsplit_once('.') else {
                         return Err(error);

@@ -9,6 +9,8 @@ use serde_saphyr::options::{DuplicateKeyPolicy, NonFiniteFloatPolicy};
 use serde_saphyr::{Location, Spanned, UserMessageFormatter};
 use sweepd_messages::rcl::Value;
 
+use crate::EX_CONFIG;
+
 /// The key above the parameters of a node.
 const SECTION: &str = "ros__parameters";
 
@@ -19,8 +21,8 @@ pub struct ParameterError {
     /// The file and the line, or the argument.
     pub(super) place: String,
     pub(super) what: String,
-    /// Whether the file cannot be read at all.
-    pub is_unread: bool,
+    /// The exit code of the program.
+    pub exit: u8,
 }
 
 /// A value of YAML. Scalars are text: each parameter knows what it may be.
@@ -180,7 +182,7 @@ pub(super) fn find_sections<'a>(
         Err(ParameterError {
             place,
             what,
-            is_unread: false,
+            exit: EX_CONFIG,
         })
     };
     let Tree::Map(pairs) = &tree.value else {
@@ -248,7 +250,7 @@ pub(super) fn read_tree(text: &str, file: &str) -> Result<Spanned<Tree>, Paramet
         ParameterError {
             place: place(file, error.location().unwrap_or(Location::UNKNOWN)),
             what: what.to_owned(),
-            is_unread: false,
+            exit: EX_CONFIG,
         }
     })
 }
