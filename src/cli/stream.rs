@@ -21,7 +21,7 @@ pub fn print(text: impl AsRef<[u8]>) -> Result<(), CliError> {
 /// What came of printing all that a command says.
 ///
 /// # Errors
-/// As [`print`].
+/// As [`print()`].
 pub fn printed(done: io::Result<()>) -> Result<(), CliError> {
     match done {
         Err(cause) if cause.kind() != io::ErrorKind::BrokenPipe => Err(CliError::Stdout(cause)),
@@ -44,7 +44,7 @@ pub fn ended(error: CliError, places: &[String]) -> CliError {
 /// Prints one JSON object.
 ///
 /// # Errors
-/// As [`print`].
+/// As [`print()`].
 pub fn print_json(object: &impl Serialize) -> Result<(), CliError> {
     let text = serde_json::to_string_pretty(object);
     print(text.map_err(|error| CliError::Failed(error.to_string()))? + "\n")
