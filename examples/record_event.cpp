@@ -10,7 +10,8 @@ constexpr double least_m[] = {-1.0, 0.5, -5.0}, most_m[] = {1.0, 5.0, 2.0};
 constexpr int least_returns = 3;
 
 int main(int argc, char** argv) try {
-    const std::string sensor = argc > 1 ? argv[1] : "", seconds = argc > 2 ? argv[2] : "10";
+    const std::string sensor = argc > 1 ? argv[1] : "";
+    const double seconds = argc > 2 ? std::atof(argv[2]) : 10;
     for (sweepd::Client client(sensor);;) {
         const auto sweep = client.next(std::chrono::seconds(1));
         if (!sweep) std::fprintf(stderr, "nothing is heard of %s\n", sensor.c_str());
@@ -30,7 +31,7 @@ int main(int argc, char** argv) try {
         const std::string file = "event_" + std::to_string(time_ms) + ".pcap";
         std::printf("recording %s\n", file.c_str());
         std::fflush(stdout);
-        const std::string command = "sweepd record --from " + sensor + " -o " + file + " --seconds " + seconds;
+        const std::string command = "sweepd record --from " + sensor + " -o " + file + " --seconds " + std::to_string(seconds);
         // It says what goes wrong.
         if (std::system(command.c_str()) != 0) return 1;
     }
