@@ -15,9 +15,7 @@ use crate::files::output;
 use crate::input::{Capture, Placed};
 use crate::streams::{Stream, Streams};
 use crate::text::{count_of, grouped};
-use sweepd_core::sensor::compare::{
-    ANGLE_TOLERANCE_DEG, Difference, LENGTH_TOLERANCE_M, differences,
-};
+use sweepd_core::sensor::compare::{ANGLE_TOLERANCE_DEG, LENGTH_TOLERANCE_M, differences};
 use sweepd_core::sensor::{Beam, Calibration, Model, ros_yaml, stream};
 use sweepd_core::wire::data::Banks;
 use sweepd_core::wire::hdl64::{DUMP_LEN, DUMP_PACKETS, DumpState, Series, Status};
@@ -95,8 +93,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         Command::Show { file, json: true } => {
             print_json(&Shown::new(file, &read_calibration(file)?))
         }
-        Command::Diff { a, b, json: false } => diff(a, b),
-        Command::Diff { a, b, json: true } => diff_json(a, b),
+        Command::Diff { a, b, json } => diff(a, b, *json),
         Command::FromCapture(args) => from_capture(args),
     }
 }
@@ -160,7 +157,7 @@ fn readable(value: f64) -> f64 {
     rounded(value, 1e9)
 }
 
-/// What `diff --json` prints.
+/// What `diff` prints.
 #[derive(Serialize)]
 struct Compared {
     files: [PathBuf; 2],
@@ -178,31 +175,70 @@ struct ComparedBeam {
     values: [f64; 2],
 }
 
-fn diff_json(a: &Path, b: &Path) -> Result<(), CliError> {
-    let calibrations = [read_calibration(a)?, read_calibration(b)?];
-    let [first, second] = &calibrations;
-    let mut found = Vec::new();
-    for difference in differences(first, second) {
-        found.push(ComparedBeam {
-            channel: difference.channel,
-            quantity: difference.quantity.name(),
-            unit: difference.quantity.unit(),
-            values: difference.values.map(readable),
-        });
+impl Compared {
+    /// # Errors
+    /// [`CliError`]: a file that cannot be read.
+    fn read(files: [&Path; 2]) -> Result<Self, CliError> {
+        let [a, b] = files;
+        let calibrations = [read_calibration(a)?, read_calibration(b)?];
+        let [a, b] = &calibrations;
+        let mut found = Vec::new();
+        for difference in differences(a, b) {
+            found.push(ComparedBeam {
+                channel: difference.channel,
+                quantity: difference.quantity.name(),
+                unit: difference.quantity.unit(),
+                values: difference.values.map(readable),
+            });
+        }
+        Ok(Self {
+            files: files.map(Path::to_owned),
+            distance_unit_m: calibrations.each_ref().map(Calibration::distance_unit_m),
+            beams: calibrations.each_ref().map(|one| one.beams().len()),
+            differences: found,
+        })
     }
-    let distance_unit_m = calibrations.each_ref().map(Calibration::distance_unit_m);
-    let beams = calibrations.each_ref().map(|one| one.beams().len());
-    let is_same =
-        found.is_empty() && distance_unit_m[0] == distance_unit_m[1] && beams[0] == beams[1];
-    print_json(&Compared {
-        files: [a, b].map(Path::to_owned),
-        distance_unit_m,
-        beams,
-        differences: found,
-    })?;
-    match is_same {
-        true => Ok(()),
-        false => Err(CliError::Reported),
+
+    /// Whether they are the same, within what [`differences`] bears.
+    fn is_same(&self) -> bool {
+        self.differences.is_empty()
+            && self.distance_unit_m[0] == self.distance_unit_m[1]
+            && self.beams[0] == self.beams[1]
+    }
+
+    fn text(&self) -> String {
+        let [name_a, name_b] = self.files.each_ref().map(|file| file.display());
+        if self.is_same() {
+            let length_mm = LENGTH_TOLERANCE_M * 1e3;
+            return format!(
+                "no beam differs by more than {ANGLE_TOLERANCE_DEG} degrees or {length_mm:.0} mm\n"
+            );
+        }
+        let mut text = String::new();
+        let [beams_a, beams_b] = self.beams;
+        if beams_a != beams_b {
+            let _ = writeln!(text, "{name_a} has {beams_a} beams, {name_b} {beams_b}");
+        }
+        let [unit_a, unit_b] = self.distance_unit_m;
+        if unit_a != unit_b {
+            let _ = writeln!(
+                text,
+                "{name_a} has distances in units of {unit_a} m, {name_b} of {unit_b} m"
+            );
+        }
+        if !self.differences.is_empty() {
+            text += "channel                              A          B      B - A\n";
+        }
+        for one in &self.differences {
+            let [a, b] = one.values;
+            let more = b - a;
+            let _ = writeln!(
+                text,
+                "{:7}  {:<18}  {a:9.4}  {b:9.4}  {more:9.4} {}",
+                one.channel, one.quantity, one.unit
+            );
+        }
+        text
     }
 }
 
@@ -263,51 +299,16 @@ fn fitting_models(calibration: &Calibration) -> Vec<&'static str> {
     models
 }
 
-fn diff(path_a: &Path, path_b: &Path) -> Result<(), CliError> {
-    let a = read_calibration(path_a)?;
-    let b = read_calibration(path_b)?;
-    let name_a = path_a.display();
-    let name_b = path_b.display();
-    let mut text = String::new();
-    let beams_a = a.beams().len();
-    let beams_b = b.beams().len();
-    if beams_a != beams_b {
-        let _ = writeln!(text, "{name_a} has {beams_a} beams, {name_b} {beams_b}");
+fn diff(a: &Path, b: &Path, json: bool) -> Result<(), CliError> {
+    let compared = Compared::read([a, b])?;
+    match json {
+        true => print_json(&compared)?,
+        false => print(compared.text())?,
     }
-    let unit_a = a.distance_unit_m();
-    let unit_b = b.distance_unit_m();
-    if unit_a != unit_b {
-        let _ = writeln!(
-            text,
-            "{name_a} has distances in units of {unit_a} m, {name_b} of {unit_b} m"
-        );
+    match compared.is_same() {
+        true => Ok(()),
+        false => Err(CliError::Reported),
     }
-    let found = differences(&a, &b);
-    if !found.is_empty() {
-        text += "channel                              A          B      B - A\n";
-    }
-    for Difference {
-        channel,
-        quantity,
-        values: [a, b],
-    } in found
-    {
-        let name = quantity.name();
-        let more = b - a;
-        let unit = quantity.unit();
-        let _ = writeln!(
-            text,
-            "{channel:7}  {name:<18}  {a:9.4}  {b:9.4}  {more:9.4} {unit}"
-        );
-    }
-    if text.is_empty() {
-        let length_mm = LENGTH_TOLERANCE_M * 1e3;
-        return print(format!(
-            "no beam differs by more than {ANGLE_TOLERANCE_DEG} degrees or {length_mm:.0} mm\n"
-        ));
-    }
-    print(&text)?;
-    Err(CliError::Reported)
 }
 
 /// The status that one HDL-64E of a capture sent.
