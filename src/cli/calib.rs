@@ -80,6 +80,21 @@ struct FromCapture {
     /// Only the sensor at this address: IP or IP:PORT; of a bag, /TOPIC
     #[arg(long, value_name = "ADDR")]
     sensor: Option<SensorFilter>,
+    /// One JSON object on standard output
+    #[arg(long)]
+    json: bool,
+}
+
+/// What `from-capture --json` prints.
+#[derive(Serialize)]
+struct Extracted<'a> {
+    file: &'a Path,
+    sensor: &'a str,
+    series: String,
+    /// When, by the factory's clock.
+    calibrated: Option<String>,
+    /// Whether a checksum said that it came whole: an S2.1 sends none.
+    checked: bool,
 }
 
 /// Runs the command.
@@ -332,7 +347,8 @@ fn from_capture(args: &FromCapture) -> Result<(), CliError> {
     };
     let calibration =
         stream::calibration(dump).map_err(|message| args.refused(&format!("{name}: {message}")))?;
-    let calibrated = match dump.calibrated() {
+    let calibrated = dump.calibrated().map(|time| time.to_string());
+    let said = match &calibrated {
         Some(time) => format!("calibrated {time}"),
         None => {
             let message = format_args!("{name} says that it was never calibrated");
@@ -340,9 +356,18 @@ fn from_capture(args: &FromCapture) -> Result<(), CliError> {
             "never calibrated".to_owned()
         }
     };
-    let source = format!("HDL-64E {series} at {name}, {calibrated}, from its own packets");
+    let source = format!("HDL-64E {series} at {name}, {said}, from its own packets");
     let text = format!("# {source}\n{}", ros_yaml::emit(&calibration));
     output::write(&args.out, text.as_bytes(), existing)?;
+    if args.json {
+        return print_json(&Extracted {
+            file: &args.out,
+            sensor: name,
+            series: series.to_string(),
+            calibrated,
+            checked: series == Series::S3,
+        });
+    }
     print(describe(&args.out, &source, series))
 }
 

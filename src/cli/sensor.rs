@@ -53,7 +53,8 @@ The exit status is 0 only if all is as asked for.
 Examples:
   sweepd sensor 192.168.1.201 set --rpm 1200 --returns dual
   sweepd sensor 192.168.1.201 set --rpm 1200 --returns dual --save --yes
-  sweepd sensor 192.168.1.201 set --fov 270-90 --yes")]
+  sweepd sensor 192.168.1.201 set --fov 270-90 --yes
+  sweepd sensor 192.168.1.201 set --rpm 600 --yes --json")]
 struct SetArgs {
     /// Turns a minute, 300 to 1200 in steps of 60
     #[arg(long)]
@@ -85,6 +86,9 @@ struct SetArgs {
     /// Make the changes; without it they are only shown
     #[arg(long)]
     yes: bool,
+    /// One JSON object on standard output, at the end
+    #[arg(long)]
+    json: bool,
 }
 
 impl SetArgs {
@@ -122,15 +126,27 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     }
 }
 
-/// What `--json` prints.
+/// What `show --json` prints.
 #[derive(Serialize)]
-struct JsonReport {
+struct ShowReport {
     address: String,
     identity: Option<String>,
     #[serde(flatten)]
     settings: Settings,
     measured_rpm: Option<f64>,
     pps: Option<String>,
+}
+
+/// What `set --json` prints.
+#[derive(Serialize)]
+struct SetReport {
+    address: String,
+    /// Whether it is set as wanted.
+    done: bool,
+    saved: bool,
+    /// What it was set to before.
+    found: Settings,
+    wanted: Settings,
 }
 
 /// A command to one sensor.
@@ -161,7 +177,7 @@ impl Command {
 
     fn show_json(&self) -> Result<(), CliError> {
         let page = self.read()?;
-        print_json(&JsonReport {
+        print_json(&ShowReport {
             address: self.at.to_string(),
             identity: self.interface.identity(),
             settings: page.settings,
@@ -185,27 +201,31 @@ impl Command {
             complain("warning", format_args!("{why}, which is {pps}"));
         }
         let differences = wanted.differences(&page.settings);
-        let mut shown = String::new();
-        for difference in &differences {
-            let _ = writeln!(shown, "{difference}");
-        }
-        if differences.is_empty() {
-            shown += "it is set so already\n";
-        }
         let is_work = !differences.is_empty() || args.save;
-        if !args.yes && is_work {
-            shown += "nothing was changed: --yes does it\n";
+        if !args.json {
+            print(&planned(&differences, is_work && !args.yes))?;
         }
-        print(&shown)?;
-        if !args.yes || !is_work {
-            return Ok(());
+        let does = is_work && args.yes;
+        if does {
+            self.change(&wanted, &differences)?;
+            if args.save {
+                self.save()?;
+            }
         }
-        self.change(&wanted, &differences)?;
-        if args.save {
-            self.save()?;
-            return print("saved: it starts like this\n");
+        if args.json {
+            return print_json(&SetReport {
+                address: self.at.to_string(),
+                done: does || differences.is_empty(),
+                saved: does && args.save,
+                found: page.settings,
+                wanted,
+            });
         }
-        print("done, until it loses power: --save keeps it\n")
+        match (does, args.save) {
+            (false, _) => Ok(()),
+            (true, true) => print("saved: it starts like this\n"),
+            (true, false) => print("done, until it loses power: --save keeps it\n"),
+        }
     }
 
     /// Sets one after the other, and reads them back.
@@ -293,6 +313,21 @@ impl Command {
     fn error(&self, what: impl std::fmt::Display) -> CliError {
         CliError::Sensor(format!("{}: {what}", self.at))
     }
+}
+
+/// What is to be changed, a line each.
+fn planned(differences: &[Difference], is_only_planned: bool) -> String {
+    let mut text = String::new();
+    for difference in differences {
+        let _ = writeln!(text, "{difference}");
+    }
+    if differences.is_empty() {
+        text += "it is set so already\n";
+    }
+    if is_only_planned {
+        text += "nothing was changed: --yes does it\n";
+    }
+    text
 }
 
 fn names(differences: &[Difference]) -> String {

@@ -23,14 +23,13 @@ fn unit() -> Calibration {
 }
 
 fn from_capture(capture: &Path, out: &Path) -> Ran {
-    sweepd(&[
-        "calib",
-        "from-capture",
-        "--force",
-        capture.to_str().unwrap(),
-        "-o",
-        out.to_str().unwrap(),
-    ])
+    from_capture_with(capture, out, &[])
+}
+
+fn from_capture_with(capture: &Path, out: &Path, args: &[&str]) -> Ran {
+    let [capture, out] = [capture, out].map(|path| path.to_str().unwrap());
+    let words = ["calib", "from-capture", "--force", capture, "-o", out];
+    sweepd(&[&words, args].concat())
 }
 
 fn diff(a: &Path, b: &Path) -> Ran {
@@ -95,6 +94,27 @@ fn an_hdl64e_gives_its_calibration() {
         ("horizontal_offset_m", 0.026),
     ] {
         assert_eq!(beams[0][key], json!(value), "{key}");
+    }
+}
+
+#[test]
+fn a_program_reads_whose_calibration_it_is() {
+    let folder = Folder::new("calib-json");
+    let (capture, out) = (folder.path("hdl64e.pcap"), folder.path("unit.yaml"));
+    for (series, name, checked) in [(Series::S21, "S2.1", false), (Series::S3, "S3", true)] {
+        let dump = dump(&unit(), series);
+        write_capture(&capture, (&dump, series), 0..2 * 4160, |_| true);
+        let told = from_capture_with(&capture, &out, &["--json"]).done();
+        assert_eq!(
+            serde_json::from_str::<Value>(&told).unwrap(),
+            json!({
+                "file": out,
+                "sensor": "192.168.3.43:2368",
+                "series": name,
+                "calibrated": "2016-11-15 12:47:47",
+                "checked": checked,
+            })
+        );
     }
 }
 

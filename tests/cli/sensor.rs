@@ -99,6 +99,34 @@ fn what_is_set_lasts_until_power_is_lost_and_what_is_saved_longer() {
 }
 
 #[test]
+fn a_program_reads_what_was_set() {
+    let page = WebPage::new();
+    let set = |rest: &[&str]| -> Value {
+        let words = [&["set", "--rpm", "1200", "--json"], rest].concat();
+        serde_json::from_str(&sensor(&page, &words).done()).unwrap()
+    };
+    let planned = set(&["--fov", "270-90"]);
+    let keys = ["rpm", "fov", "laser"];
+    assert_eq!(
+        keys.map(|key| (&planned["found"][key], &planned["wanted"][key])),
+        [
+            (&json!(600), &json!(1200)),
+            (&json!("0-359"), &json!("270-90")),
+            (&json!("on"), &Value::Null),
+        ]
+    );
+    let is_so = |report: &Value| (report["done"] == true, report["saved"] == true);
+    assert_eq!((is_so(&planned), page.forms()), ((false, false), vec![]));
+    assert_eq!(is_so(&set(&["--yes", "--save"])), (true, true));
+    assert_eq!(page.get("", "rpm"), "1200");
+    let again = set(&[]);
+    assert_eq!(
+        (is_so(&again), &again["address"]),
+        ((true, false), &json!(page.address()))
+    );
+}
+
+#[test]
 fn everything_can_be_set_at_once_and_where_to_last() {
     let page = WebPage::new();
     let words = "set --host 192.168.1.100 --data-port 2369 --position-port 8309 --rpm 900 --returns dual --laser off \
