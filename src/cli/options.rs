@@ -397,15 +397,22 @@ impl SegmentOptions {
             .map_err(|error| CliError::Usage(error.to_string()))
     }
 
-    /// The same for a whole pipeline, with what is removed. Warns of a mount without ground.
+    /// The same for a whole pipeline, with what is removed. Warns of a mount without ground, and of
+    /// theta without the method that it is of.
     ///
     /// # Errors
     /// Those of [`Self::apply_to_segmenter`]; nothing says what is to be removed.
     pub fn apply(&self, to: &mut pipeline::Config) -> Result<(), CliError> {
         self.apply_to_segmenter(&mut to.segment)?;
-        // That of a configuration was warned of when it was read.
-        let is_mounted = (self.numbers.given.iter()).any(|(given, _)| given.table == Table::Mount);
+        // What a configuration has was warned of when it was read.
+        let given = &self.numbers.given;
+        let is_mounted = given.iter().any(|(one, _)| one.table == Table::Mount);
         if let Some(warning) = to.segment.mount.warning().filter(|_| is_mounted) {
+            complain("warning", warning);
+        }
+        let is_theta_given = given.iter().any(|(one, _)| one.option == "theta");
+        if is_theta_given && to.segment.method != segment::Method::Paper {
+            let warning = "`--theta` does nothing: it is of the method `paper`, and this is `slope`; leave it out, or add --method paper";
             complain("warning", warning);
         }
         self.apply_removal(to)

@@ -176,6 +176,26 @@ fn options_that_are_gone_are_accepted_with_a_warning() {
 }
 
 #[test]
+fn theta_without_its_method_is_warned_of() {
+    let folder = Folder::new("theta");
+    let paper = folder.write(
+        "paper.toml",
+        "[[sensor]]\nname = \"roof\"\naddress = \"192.168.1.201\"\nsegment = { method = \"paper\" }\n",
+    );
+    let capture = fixture("street_vlp16_losses.pcap");
+    let alone = replay(&capture, &["--theta", "12"]);
+    assert_eq!(alone.code, 0, "{}", alone.stderr);
+    assert_eq!(
+        alone.stderr,
+        "warning: `--theta` does nothing: it is of the method `paper`, and this is `slope`; leave it out, or add --method paper\n"
+    );
+    let paper = paper.to_str().unwrap();
+    for with in [["--method", "paper"], ["--config", paper]] {
+        replay(&capture, &[&with[..], &["--theta", "12"]].concat()).done();
+    }
+}
+
+#[test]
 fn absurd_numbers_are_refused_with_what_was_expected() {
     let cases = [
         ("--theta=0", "more than 0 and less than 90"),
