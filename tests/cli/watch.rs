@@ -236,6 +236,31 @@ fn another_user_gets_an_error_that_names_the_owner() {
     child.wait().unwrap();
 }
 
+/// As of the service's folder: the cure is its user, whether or not a daemon runs.
+#[test]
+fn who_may_not_look_into_the_folder_is_told_whose_it_is() {
+    if !crate::common::is_root() {
+        return;
+    }
+    let folder = Folder::new("closed");
+    let [copy, run] = ["sweepd", "run"].map(|name| folder.path(name));
+    std::fs::copy(env!("CARGO_BIN_EXE_sweepd"), &copy).unwrap();
+    std::fs::create_dir(&run).unwrap();
+    std::fs::set_permissions(folder.0.path(), Permissions::from_mode(0o755)).unwrap();
+    std::fs::set_permissions(&run, Permissions::from_mode(0o750)).unwrap();
+    std::os::unix::fs::chown(&run, Some(1), Some(1)).unwrap();
+    for args in [&["watch", "roof"][..], &["run", "--sensor", "127.0.0.1"]] {
+        let mut command = Command::new(&copy);
+        let command = command.args(args).env("SWEEPD_ROOT", run.join("iox2"));
+        let ran = command.current_dir("/").uid(65_534).gid(65_534).output();
+        Ran::of(ran.unwrap()).says(&[
+            "belongs to user daemon",
+            "runs as nobody",
+            "`sudo -u daemon",
+        ]);
+    }
+}
+
 /// Ctrl-C, in the middle of waiting: that is no error, and what was asked for at the end is shown.
 #[test]
 fn ctrl_c_ends_it_well() {

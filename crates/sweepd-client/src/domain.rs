@@ -54,6 +54,21 @@ pub enum DomainError {
         /// Whose this program is.
         own: String,
     },
+    /// The folder above it belongs to another user, and is closed.
+    #[error(
+        "{on_the_way} belongs to user {owner}, this program runs as {own}: sweeps are shared within one user alone. Run it as {owner} \
+         (`sudo -u {owner} ...`, or `User={owner}` in its systemd unit), or name a folder of {own} with --root or the variable \
+         SWEEPD_ROOT, the same for the daemon and its consumers",
+        on_the_way = on_the_way.display()
+    )]
+    Closed {
+        /// The folder on the path.
+        on_the_way: PathBuf,
+        /// Whose it is.
+        owner: String,
+        /// Whose this program is.
+        own: String,
+    },
     /// Another user could replace it at any time.
     #[error(
         "{root} leads through {on_the_way}, which {why}: another user could lead it elsewhere. Name a folder whose parents belong \
@@ -233,12 +248,22 @@ impl Domain {
     fn not_ours(&self, on_the_way: PathBuf, owner: u32) -> DomainError {
         let root = self.root.clone();
         let is_link = fs::symlink_metadata(&on_the_way).is_ok_and(|metadata| metadata.is_symlink());
-        if !is_link && fs::metadata(&root).is_ok_and(|metadata| metadata.uid() == owner) {
-            return DomainError::OtherUser {
-                root,
-                owner: user_name(owner),
-                own: user_name(own_uid()),
-            };
+        let own = user_name(own_uid());
+        match fs::metadata(&root) {
+            Ok(metadata) if !is_link && metadata.uid() == owner => {
+                let owner = user_name(owner);
+                return DomainError::OtherUser { root, owner, own };
+            }
+            // As /run/sweepd is.
+            Err(error) if !is_link && error.kind() == io::ErrorKind::PermissionDenied => {
+                let owner = user_name(owner);
+                return DomainError::Closed {
+                    on_the_way,
+                    owner,
+                    own,
+                };
+            }
+            _ => {}
         }
         let what = if is_link {
             "is a link of"
