@@ -8,6 +8,8 @@ import sys
 import numpy as np
 import sweepd
 
+if len(sys.argv) != 6:
+    sys.exit(__doc__)
 capture, x, y, turn, out = sys.argv[1], *map(float, sys.argv[2:5]), sys.argv[5]
 sweeps = list(sweepd.replay(capture, partial=True))
 

@@ -24,6 +24,8 @@ STOP_M = np.array([[-1.0, 0.5, 0.05], [1.0, 5.0, 2.0]])
 # A sensor that is well gives a sweep at least this often, seconds: it turns five times a second or faster.
 SILENCE_S = 0.3
 
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
 name = sys.argv[1]
 model = int(sys.argv[2]) if len(sys.argv) > 2 else None
 client = sweepd.Client(name)

@@ -196,6 +196,16 @@ class Replayed(unittest.TestCase):
                 else:
                     self.assertLess((made[name] - expected[name]).abs().max(), 0.000_06, name)
 
+    @unittest.skipUnless(__import__("importlib.util").util.find_spec("pandas"), "no pandas")
+    def test_examples_say_what_they_want(self):
+        # test_fleet.py has that one, which imports more.
+        examples = [example for example in (TOP / "examples/python").glob("*.py") if example.name != "fleet.py"]
+        for example in [TOP / "examples/consumer.py", *examples]:
+            ran = subprocess.run([sys.executable, str(example)], capture_output=True, text=True)
+            self.assertEqual((ran.returncode, ran.stdout), (1, ""), example)
+            self.assertRegex(ran.stderr, f"{example.name} [A-Z]")
+            self.assertNotIn("Traceback", ran.stderr)
+
     @unittest.skipUnless(__import__("importlib.util").util.find_spec("open3d"), "no open3d")
     def test_open3d(self):
         sweep = next(sweepd.replay(DUAL))
