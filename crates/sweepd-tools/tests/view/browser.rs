@@ -555,6 +555,49 @@ pub fn over(element: &str, here: &str) -> String {
     )
 }
 
+/// A return of a segment, as a sweep's CSV has it.
+struct Pixel {
+    row: u64,
+    column: u64,
+    range_m: f64,
+}
+
+/// The returns that have this label.
+fn labelled(csv: &str, label: u64) -> Vec<Pixel> {
+    let mut lines = csv.lines();
+    let columns: Vec<&str> = lines.next().unwrap().split(',').collect();
+    let wanted = ["label", "row", "column", "range_m"];
+    let at = wanted.map(|name| columns.iter().position(|column| *column == name).unwrap());
+    let mut pixels = Vec::new();
+    for line in lines {
+        let fields: Vec<&str> = line.split(',').collect();
+        let [of, row, column, range_m] = at.map(|at| fields[at]);
+        if of == label.to_string() {
+            pixels.push(Pixel {
+                row: row.parse().unwrap(),
+                column: column.parse().unwrap(),
+                range_m: range_m.parse().unwrap(),
+            });
+        }
+    }
+    pixels
+}
+
+/// Points at what is here over an element: this label is marked, and before that nothing.
+fn point_at(tab: &mut Tab, element: &str, here: &str, label: u64) {
+    let place = tab.value(&over(element, here));
+    tab.point(&json!([5, 5]));
+    tab.wait_for("window.sweepd.selection === null");
+    tab.point(&place);
+    tab.wait_for(&format!(
+        "window.sweepd.selection?.label === {label} && \
+         document.querySelector('#segments .row.marked')?.dataset.label === '{label}'"
+    ));
+}
+
+const LARGEST: &str = "window.sweepd.page.table.segments[0].label";
+const FROM_ABOVE: &str = "document.querySelector('[data-view=above]').click()";
+
 #[test]
 #[cfg_attr(without_chromium, ignore = "no chromium")]
 fn what_is_pointed_at_is_marked_everywhere() {
@@ -567,76 +610,52 @@ fn what_is_pointed_at_is_marked_everywhere() {
     assert_eq!(tab.number("window.sweepd.points"), returns);
     assert_eq!(tab.number("window.sweepd.returns"), returns);
 
-    // Pixels of large segments, and the label that Rust gave them.
-    let columns: Vec<&str> = csv.lines().next().unwrap().split(',').collect();
-    let field = |line: &str, name: &str| {
-        let at = columns.iter().position(|column| *column == name).unwrap();
-        line.split(',').nth(at).unwrap().to_owned()
-    };
-    let label = tab.number("window.sweepd.page.table.segments[0].label");
-    let of_it: Vec<&str> = csv
-        .lines()
-        .skip(1)
-        .filter(|line| field(line, "label") == label.to_string())
-        .collect();
-    let middle = of_it[of_it.len() / 2];
-    let (row, column) = (field(middle, "row"), field(middle, "column"));
-    let is_marked = format!(
-        "window.sweepd.selection?.label === {label} && \
-         document.querySelector('#segments .row.marked')?.dataset.label === '{label}'"
-    );
+    let label = tab.number(LARGEST);
+    let pixels = labelled(&csv, label);
+    let Pixel {
+        row,
+        column,
+        range_m,
+    } = pixels[pixels.len() / 2];
     for strip in 0..2 {
-        let place = over(
-            "#images",
-            &format!("window.sweepd.imagePlace({strip}, {row}, {column})"),
-        );
-        let place = tab.value(&place);
-        tab.point(&place);
-        tab.wait_for(&is_marked);
+        let here = format!("window.sweepd.imagePlace({strip}, {row}, {column})");
+        point_at(&mut tab, "#images", &here, label);
         let selection = tab.value("window.sweepd.selection");
-        assert_eq!(selection["row"].to_string(), row, "{selection}");
-        assert_eq!(selection["column"].to_string(), column, "{selection}");
+        assert_eq!(selection["row"], row, "{selection}");
+        assert_eq!(selection["column"], column, "{selection}");
         // The page writes tenths of a millimetre.
-        let range: f64 = field(middle, "range_m").parse().unwrap();
-        let off = selection["range"].as_f64().unwrap() - range;
+        let off = selection["range"].as_f64().unwrap() - range_m;
         assert!(off.abs() < 1e-3, "{selection}");
-        tab.point(&json!([5, 5]));
-        tab.wait_for("window.sweepd.selection === null");
     }
-
     // In the view from above nothing hides it but what stands over it.
-    tab.value("document.querySelector('[data-view=above]').click()");
-    let place = over(
-        "#overlay",
-        &format!("window.sweepd.scenePlace({row}, {column})"),
-    );
-    let place = tab.value(&place);
-    tab.point(&place);
-    tab.wait_for(&is_marked);
-
-    // Its row of the table.
-    let place = over(
-        &format!("#segments .row[data-label=\"{label}\"]"),
-        "[30, 8]",
-    );
-    let place = tab.value(&place);
-    tab.point(&json!([5, 5]));
-    tab.point(&place);
-    tab.wait_for(&is_marked);
+    tab.value(FROM_ABOVE);
+    let here = format!("window.sweepd.scenePlace({row}, {column})");
+    point_at(&mut tab, "#overlay", &here, label);
+    let its_row = format!("#segments .row[data-label=\"{label}\"]");
+    point_at(&mut tab, &its_row, "[30, 8]", label);
     tab.picture("pointed_at");
+    tab.close();
+}
 
-    // What is drawn has the colour of its label, which the table has too, unless something nearer
-    // hides it.
-    tab.point(&json!([5, 5]));
+/// The table has that colour, too. Something nearer may hide a point.
+#[test]
+#[cfg_attr(without_chromium, ignore = "no chromium")]
+fn what_is_drawn_has_the_colour_of_its_label() {
+    let view = View::start(&[&fixture("street_hdl32e.pcap.gz")]);
+    let mut tab = Tab::open(&format!("http://{}/#sweep=2", view.host));
+    tab.wait_for("window.sweepd.index === 1");
+    tab.value(FROM_ABOVE);
     tab.value("for (const box of document.querySelectorAll('[data-option]')) if (box.checked) box.click()");
+    let label = tab.number(LARGEST);
     let colour = tab.text(&format!(
         "getComputedStyle(document.querySelector(`#segments .row[data-label='{label}'] i`)).backgroundColor"
     ));
-    let mut right = 0;
-    let looked = of_it.iter().step_by(of_it.len().div_ceil(40));
+    let csv = tab.text("window.sweepd.csv()");
+    let pixels = labelled(&csv, label);
+    let looked = pixels.iter().step_by(pixels.len().div_ceil(40));
     let count = looked.len();
-    for line in looked {
-        let (row, column) = (field(line, "row"), field(line, "column"));
+    let mut right = 0;
+    for Pixel { row, column, .. } in looked {
         let seen = tab.text(&format!(
             "(() => {{ const [x, y] = window.sweepd.scenePlace({row}, {column}); \
              return `rgb(${{[...window.sweepd.scenePixel(x, y)].slice(0, 3).join(', ')}})`; }})()"
@@ -730,10 +749,11 @@ fn sliders_do_what_they_say() {
     tab.close();
 }
 
-fn limit_range(tab: &mut Tab, metres: &str) {
+/// Types a number for a setting.
+fn set(tab: &mut Tab, key: &str, value: &str) {
     tab.value(&format!(
-        "(() => {{ const {{ number }} = window.sweepd.page.tuning.rows.get('max_range_m'); \
-         number.value = '{metres}'; number.dispatchEvent(new Event('change')); }})()"
+        "(() => {{ const {{ number }} = window.sweepd.page.tuning.rows.get('{key}'); \
+         number.value = '{value}'; number.dispatchEvent(new Event('change')); }})()"
     ));
 }
 
@@ -745,10 +765,10 @@ fn a_refused_change_holds_up_no_sweep() {
     let mut tab = Tab::open(&format!("http://{}/", view.host));
     for is_tuned in [false, true] {
         if is_tuned {
-            limit_range(&mut tab, "40");
+            set(&mut tab, "max_range_m", "40");
             tab.wait_for("window.sweepd.tuned");
         }
-        limit_range(&mut tab, "0");
+        set(&mut tab, "max_range_m", "0");
         tab.wait_for("!document.querySelector('[data-part=refused]').hidden");
         let index = tab.number("window.sweepd.index");
         tab.wait_for(&format!(

@@ -17,7 +17,7 @@ fn view() -> View {
 }
 
 #[test]
-fn only_the_files_of_the_page_are_served_and_only_to_this_host() {
+fn only_the_files_of_the_page_are_served() {
     let view = view();
     let host = &view.host;
     let page = view.get("/", host);
@@ -55,6 +55,12 @@ fn only_the_files_of_the_page_are_served_and_only_to_this_host() {
         let answer = view.get(path, host);
         assert!(answer.starts_with("HTTP/1.1 404 "), "{path}: {answer}");
     }
+}
+
+#[test]
+fn only_this_host_is_served_and_only_by_well_formed_requests() {
+    let view = view();
+    let host = &view.host;
     let port = host.rsplit(':').next().unwrap();
     // A tunnel may have another port.
     for own in [&format!("localhost:{port}"), "localhost:8080", "127.0.0.1"] {
@@ -177,8 +183,7 @@ fn only_programs_and_known_pages_may_read_as_viewers() {
     }
 }
 
-/// Garbage, floods and half of a handshake: each is refused or ends its own socket, and nothing of
-/// it is kept.
+/// Garbage and floods: each is refused or ends its own socket, and nothing of it is kept.
 #[test]
 fn a_viewer_that_means_no_good_costs_nothing() {
     let view = View::start(&["--simulate", "vlp16"]);
@@ -243,7 +248,18 @@ fn a_viewer_that_means_no_good_costs_nothing() {
     }
     let grown_kb = last_kb[5].saturating_sub(last_kb[2]);
     assert!(grown_kb < 4096, "{last_kb:?}");
-    // Half of a handshake, and a handshake without its key.
+    is_well(&view);
+}
+
+fn is_well(view: &View) {
+    view.page().sweep();
+    view.viewer().until(|message| message["op"] == "advertise");
+}
+
+/// Nor one that sends half of a handshake, or one without its key.
+#[test]
+fn a_viewer_that_never_is_one_holds_up_nothing() {
+    let view = View::start(&["--simulate", "vlp16"]);
     let host = &view.host;
     let head =
         format!("GET / HTTP/1.1\r\nHost: {host}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n");
@@ -253,8 +269,7 @@ fn a_viewer_that_means_no_good_costs_nothing() {
         "{head}Sec-WebSocket-Protocol: foxglove.sdk.v1\r\nSec-WebSocket-Version: 13\r\n\r\n"
     );
     assert!(view.answer(keyless.as_bytes()).starts_with("HTTP/1.1 400 "));
-    view.page().sweep();
-    view.viewer().until(|message| message["op"] == "advertise");
+    is_well(&view);
 }
 
 /// One that takes nothing of what it is sent holds up no page, and loses its place.

@@ -75,6 +75,14 @@ pub fn view(own: &TempDomain, args: &[&str]) -> View {
     })
 }
 
+/// How many sweeps the page missed before its next one, and the number of that.
+fn next_numbers(page: &mut Page) -> (u64, u64) {
+    let shown = page.sweep();
+    let sequence = shown.about["sequence"].as_u64().unwrap();
+    page.drawn();
+    (shown.missed(), sequence)
+}
+
 #[test]
 fn a_sensor_that_comes_late_stalls_goes_and_comes_again() {
     let own = TempDomain::new("sweepd-view-").unwrap();
@@ -111,12 +119,7 @@ fn a_sensor_that_comes_late_stalls_goes_and_comes_again() {
     // Sweeps that were never published are missed.
     daemon.sequence += 3;
     daemon.publish(&some[0]);
-    let shown = page.sweep();
-    assert_eq!(
-        (shown.missed(), shown.about["sequence"].as_u64()),
-        (3, Some(4))
-    );
-    page.drawn();
+    assert_eq!(next_numbers(&mut page), (3, 4));
     publish_until("live", &mut page, &mut daemon, &some[0]);
 
     drop(daemon);
@@ -125,12 +128,7 @@ fn a_sensor_that_comes_late_stalls_goes_and_comes_again() {
     let mut daemon = Publisher::new(&own.domain(), "roof");
     std::thread::sleep(Duration::from_millis(600));
     daemon.publish(&some[2]);
-    let shown = page.sweep();
-    assert_eq!(
-        (shown.missed(), shown.about["sequence"].as_u64()),
-        (3, Some(0))
-    );
-    page.drawn();
+    assert_eq!(next_numbers(&mut page), (3, 0));
     let words = "the daemon was started again";
     let state = publish_until(words, &mut page, &mut daemon, &some[2]);
     assert_eq!(
