@@ -757,6 +757,32 @@ fn set(tab: &mut Tab, key: &str, value: &str) {
     ));
 }
 
+/// Theta is of the method `paper`: with the other it has no slider, and is not copied.
+#[test]
+#[cfg_attr(without_chromium, ignore = "no chromium")]
+fn a_setting_that_the_method_does_not_read_is_not_there() {
+    let view = View::start(&[&fixture("street_vlp16.pcap.gz")]);
+    let mut tab = Tab::open(&format!("http://{}/#sweep=1", view.host));
+    tab.value("document.querySelector('[data-tab=tuning]').click()");
+    let is_there = "document.querySelector('[data-key=theta_deg]').checkVisibility()";
+    assert_eq!(tab.value(is_there), false);
+    for (method, there) in [("paper", true), ("slope", false)] {
+        tab.value(&format!(
+            "(() => {{ const {{ methods }} = window.sweepd.page.tuning; \
+             methods.value = '{method}'; methods.dispatchEvent(new Event('change')); }})()"
+        ));
+        assert_eq!(tab.value(is_there), there);
+        set(&mut tab, "theta_deg", "12");
+        set(&mut tab, "min_points", "5");
+        tab.value("document.querySelector('[data-part=copy]').click()");
+        tab.wait_for("!document.querySelector('[data-part=configuration]').hidden");
+        let lines = tab.text("document.querySelector('[data-part=configuration]').textContent");
+        assert_eq!(lines.contains("theta_deg = 12"), there, "{lines}");
+        assert!(lines.contains("min_points = 5"), "{lines}");
+    }
+    tab.close();
+}
+
 /// A change that is refused says so. The sweeps go on, as they were segmented before.
 #[test]
 #[cfg_attr(without_chromium, ignore = "no chromium")]

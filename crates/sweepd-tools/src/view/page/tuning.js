@@ -113,9 +113,14 @@ export class Tuning {
     row.line.classList.toggle("changed", value !== row.now);
   }
 
+  /** Whether an option is read by the chosen method: theta is of the paper's alone. */
+  isRead({ setting }) {
+    return setting.key !== "theta_deg" || this.methods.value === "paper";
+  }
+
   /** Options that differ from what holds now. */
   get differing() {
-    const entries = [...this.rows.values()].filter((row) => row.value !== row.now);
+    const entries = [...this.rows.values()].filter((row) => row.value !== row.now && this.isRead(row));
     return Object.fromEntries(entries.map((row) => [row.setting.key, row.value]));
   }
 
@@ -162,6 +167,7 @@ export class Tuning {
   settle() {
     this.root.classList.toggle("active", this.active);
     this.reset.disabled = !this.active;
+    for (const row of this.rows.values()) row.line.hidden = !this.isRead(row);
     for (const button of this.modes) {
       button.disabled = !this.active;
       button.setAttribute("aria-pressed", String(button.dataset.compare === this.mode));
