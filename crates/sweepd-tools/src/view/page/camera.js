@@ -13,9 +13,11 @@ export const VIEWS = {
   sensor: { yaw: 0, pitch: 0, field: 1.25, distance: 0 },
 };
 /** Share of the points that a view shows. */
-const SHOWN = 0.97;
+const SHOWN = 0.98;
 /** Share of the points whose middle it looks at: the rest lie far out. */
 const INNER = 0.9;
+/** What is near looks larger than what is far, so the target then moves to the middle of what is in sight, so often. */
+const CENTRINGS = 3;
 /** At most this many points are sampled to fit the camera. */
 const SAMPLES = 4000;
 
@@ -45,9 +47,18 @@ export class Camera {
     const { right, up, into } = this.axes();
     const along = (axis, point) => axis.reduce((sum, value, index) => sum + value * (point[index] - this.target[index]), 0);
     const reach = Math.tan(this.field / 2);
-    const distances = some.map((point) =>
-      Math.max(Math.abs(along(right, point)) / (reach * aspect), Math.abs(along(up, point)) / reach) - along(into, point));
-    this.distance = Math.min(MOST_M, Math.max(LEAST_M, 1.05 * at(distances, SHOWN)));
+    for (let turns = CENTRINGS; ; turns--) {
+      const distances = some.map((point) =>
+        Math.max(Math.abs(along(right, point)) / (reach * aspect), Math.abs(along(up, point)) / reach) - along(into, point));
+      this.distance = Math.min(MOST_M, Math.max(LEAST_M, 1.1 * at(distances, SHOWN)));
+      if (turns === 0) return;
+      const seen = some.filter((point) => this.distance + along(into, point) > 0);
+      for (const axis of [right, up]) {
+        const slopes = seen.map((point) => along(axis, point) / (this.distance + along(into, point)));
+        const middle = (at(slopes, 1 - SHOWN) + at(slopes, SHOWN)) / 2;
+        this.target = this.target.map((value, index) => value + axis[index] * middle * this.distance);
+      }
+    }
   }
 
   /** Directions of the screen in space: right, up, and into it. */
