@@ -13,6 +13,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -21,6 +22,7 @@ use sweepd_client::domain::Domain;
 use sweepd_client::join::JoinError;
 use sweepd_client::leftovers::remove_unfinished;
 
+use super::changes::Changes;
 use super::error::PublishError;
 use super::leftovers;
 use super::pool::SensorPool;
@@ -29,6 +31,12 @@ use super::settings::ServiceSettings;
 
 /// How often services are looked after.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// Looks at all files after a change: what is left unfinished is known after a second, and is
+/// removed at one of the next two looks.
+const LOOKS_AFTER_A_CHANGE: u32 = 5;
+/// Without a change, every look of this number is at all files: a folder above them may have been
+/// moved, or a child of a process that died may hold its files open, which no event tells.
+const FULL_LOOK_EVERY: u32 = 10;
 /// How long to wait for the keeper: longer than it takes to clean up after several processes that
 /// died.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -43,6 +51,8 @@ const REMOVE_EVERY: Duration = Duration::from_millis(100);
 pub struct Keeper {
     domain: Domain,
     requests: Sender<Request>,
+    /// Whether the thread is at work, by which it may be held up.
+    is_at_work: Arc<AtomicBool>,
 }
 
 /// What the keeper is asked, and where the answer goes.
@@ -69,8 +79,12 @@ impl Keeper {
     /// [`JoinError::Service`]: the system gives no thread.
     pub fn new(domain: &Domain) -> Result<Self, PublishError> {
         let (sender, requests) = mpsc::channel();
+        let is_at_work = Arc::new(AtomicBool::new(false));
         let work = KeeperThread {
             domain: domain.clone(),
+            is_at_work: Arc::clone(&is_at_work),
+            changes: Changes::new(domain.clone()),
+            quiet_looks: 0,
             services: Vec::new(),
             orphans: Vec::new(),
         };
@@ -83,6 +97,7 @@ impl Keeper {
         Ok(Self {
             domain: domain.clone(),
             requests: sender,
+            is_at_work,
         })
     }
 
@@ -98,10 +113,12 @@ impl Keeper {
     }
 
     /// Removes files of shared memory that a process left unfinished a second ago or longer, by
-    /// which another may be held up. Takes microseconds; for a thread that looks around about once
-    /// a second.
+    /// which the keeper may be held up, while it is at work. Takes microseconds; for a thread that
+    /// looks around about once a second.
     pub fn remove_unfinished(&self) {
-        remove_unfinished(&self.domain);
+        if self.is_at_work.load(Ordering::Relaxed) {
+            remove_unfinished(&self.domain);
+        }
     }
 
     /// Where its services are.
@@ -154,6 +171,10 @@ impl Keeper {
 /// What the keeper's thread holds.
 struct KeeperThread {
     domain: Domain,
+    is_at_work: Arc<AtomicBool>,
+    changes: Changes,
+    /// Looks since the last change.
+    quiet_looks: u32,
     services: Vec<KeptService>,
     /// Lists of participants without a service, at the last look.
     orphans: Vec<PathBuf>,
@@ -170,7 +191,10 @@ impl KeeperThread {
     fn serve(mut self, requests: &Receiver<Request>) {
         let mut looked = Instant::now();
         loop {
-            match requests.recv_timeout(LOOK_EVERY.saturating_sub(looked.elapsed())) {
+            self.is_at_work.store(false, Ordering::Relaxed);
+            let request = requests.recv_timeout(LOOK_EVERY.saturating_sub(looked.elapsed()));
+            self.is_at_work.store(true, Ordering::Relaxed);
+            match request {
                 Ok(request) => self.serve_request(request),
                 Err(RecvTimeoutError::Timeout) => {
                     looked = Instant::now();
@@ -230,10 +254,27 @@ impl KeeperThread {
     }
 
     fn look(&mut self) {
+        self.quiet_looks = match self.changes.any() {
+            true => 0,
+            false => self.quiet_looks.saturating_add(1),
+        };
+        if self.quiet_looks < LOOKS_AFTER_A_CHANGE
+            || self.quiet_looks.is_multiple_of(FULL_LOOK_EVERY)
+        {
+            self.look_at_files();
+        }
+        for kept in &mut self.services {
+            kept.look(&self.domain);
+        }
+    }
+
+    fn look_at_files(&mut self) {
+        // Before they are looked at: what changes meanwhile is seen at the next look.
+        self.changes.renew();
         let is_pending = remove_unfinished(&self.domain);
         leftovers::remove_remains(&self.domain);
         for kept in &mut self.services {
-            kept.look(&self.domain);
+            kept.renew_if_missing(&self.domain);
         }
         // Only now: a service that has lost its file has it again.
         if !is_pending {
@@ -249,17 +290,22 @@ impl KeeperThread {
 }
 
 impl KeptService {
-    fn look(&mut self, domain: &Domain) {
+    fn renew_if_missing(&mut self, domain: &Domain) {
         if let Some(missing) = self.service.as_ref().and_then(Service::missing) {
             self.close();
             self.sensor_pool
                 .status
                 .set_renewed(format!("{} was deleted", missing.display()));
+            // The status reports a failure; it is tried again at each look.
+            let _ = self.make_room(domain);
         }
+    }
+
+    fn look(&mut self, domain: &Domain) {
         if let Some(service) = &mut self.service {
             service.tidy();
         }
-        // The status reports a failure; it is tried again at the next look.
+        // The same.
         let _ = self.make_room(domain);
     }
 

@@ -16,6 +16,7 @@
 //!
 //! What both sides agree on is in [`sweepd_client::service`].
 
+mod changes;
 mod error;
 mod files;
 mod keeper;
