@@ -5,6 +5,9 @@
 //!          the last sweep is complete                              0.2 to 0.7 ms before the next one is
 //! ```
 //!
+//! Where somebody wants the objects of the open sweep, a nap also ends just behind each packet that
+//! completes some of them: it is there then, and one call takes it with those before it.
+//!
 //! On a port with position packets alone there are no sweeps, and one nap follows the other.
 
 use std::time::{Duration, Instant};
@@ -20,6 +23,9 @@ pub const LONGEST_OF_POSITIONS: Duration = Duration::from_millis(250);
 /// From this time before the expected end of a sweep, each packet is fetched as it comes, so that
 /// little work is left at the end, nanoseconds.
 const ALERT_NS: i64 = 200_000;
+/// From an expected packet with objects to the end of the nap, nanoseconds: more than packets of a
+/// sensor are late by.
+const BEHIND_NS: i64 = 60_000;
 /// Most work that may wait, nanoseconds; the nap ends early enough to do it before the sweep is
 /// complete.
 const CATCH_UP_NS: i64 = 2_100_000;
@@ -106,9 +112,37 @@ pub fn longest_ns(
         .min(most.as_nanos() as i64)
 }
 
+/// When packets are expected that are waited for, nanoseconds since 1970.
+#[derive(Clone, Copy, Debug)]
+pub struct Due {
+    /// The one that completes the open sweep.
+    pub sweep_ns: i64,
+    /// Where somebody wants its objects, one before with which more of them can be complete.
+    pub objects_ns: Option<i64>,
+}
+
+impl Due {
+    /// Duration of a nap that begins now, nanoseconds.
+    pub fn nap_ns(self, now_ns: i64, longest_ns: i64, load: &Load) -> i64 {
+        let nap_ns = length_ns(self.sweep_ns.saturating_sub(now_ns), longest_ns, load);
+        match self.objects_ns {
+            Some(due_ns) => {
+                let until_ns = due_ns.saturating_sub(now_ns);
+                // One that is late by now is waited for.
+                if until_ns > 0 {
+                    nap_ns.min(until_ns.saturating_add(BEHIND_NS))
+                } else {
+                    0
+                }
+            }
+            None => nap_ns,
+        }
+    }
+}
+
 /// Duration of a nap when a sweep is due in `until_due_ns`, nanoseconds: it leaves time for the
 /// work that gathers during the nap.
-pub fn length_ns(until_due_ns: i64, longest_ns: i64, load: &Load) -> i64 {
+fn length_ns(until_due_ns: i64, longest_ns: i64, load: &Load) -> i64 {
     let until_alert_ns = until_due_ns.saturating_sub(ALERT_NS);
     let work_ns = load
         .takes_ns(until_alert_ns.min(longest_ns))
@@ -177,6 +211,23 @@ mod tests {
             }
         }
         assert_eq!(length_ns(i64::MIN, 100 * MS, &load(1)), 0);
+    }
+
+    #[test]
+    fn a_nap_ends_behind_the_packet_with_objects_unless_the_sweep_is_complete_before() {
+        let load = load(1);
+        let due = |sweep_ns, objects_ns| Due {
+            sweep_ns,
+            objects_ns,
+        };
+        let nap_ns = |due: Due| due.nap_ns(0, 100 * MS, &load);
+        assert_eq!(nap_ns(due(50 * MS, Some(3 * MS))), 3 * MS + BEHIND_NS);
+        // It may come any moment.
+        assert_eq!(nap_ns(due(50 * MS, Some(-1))), 0);
+        let until_sweep_ns = nap_ns(due(3 * MS, None));
+        assert!((MS..3 * MS - ALERT_NS).contains(&until_sweep_ns));
+        assert_eq!(nap_ns(due(3 * MS, Some(3 * MS - 1))), until_sweep_ns);
+        assert_eq!(due(50 * MS, Some(3 * MS)).nap_ns(0, MS, &load), MS);
     }
 
     #[test]

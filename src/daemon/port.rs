@@ -207,7 +207,8 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         !self.state.sensors.is_empty()
     }
 
-    /// Naps while no sweep of any sensor is about to end; the socket keeps the packets. A quiet
+    /// Naps while no sweep of any sensor is about to end, and no more of its objects are complete
+    /// that somebody wants; the socket keeps the packets. A quiet
     /// port waits on its socket instead, until a packet comes. At the end of the daemon, napping
     /// threads are unparked, and waiting ones are woken by a socket.
     fn rest(&self) {
@@ -245,8 +246,8 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
             self.source.shortest_filling_ns(),
             &self.load,
         );
-        let naps_ns = sensors.iter().map(|one| match one.sensor.due_ns() {
-            Some(due_ns) => nap::length_ns(due_ns.saturating_sub(now_ns), longest_ns, &self.load),
+        let naps_ns = sensors.iter().map(|one| match one.sensor.due() {
+            Some(due) => due.nap_ns(now_ns, longest_ns, &self.load),
             // No nap if the end of a sensor's next sweep cannot be predicted.
             None => 0,
         });

@@ -7,6 +7,7 @@ use std::sync::mpsc::Sender;
 
 use super::config::ObjectsConfig;
 use super::counters::{Gps, SensorCounters, Stage};
+use super::nap::Due;
 use super::sharing::{ObjectsOutput, Outgoing};
 use crate::sensor_settings::FieldOfView;
 use sweepd_client::host::{monotonic_ns, realtime_ns};
@@ -161,12 +162,20 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         self.counters.refused.add(1);
     }
 
-    /// When the packet is expected that is waited for: the one that completes the open sweep, or
+    /// When the packets are expected that are waited for: the one that completes the open sweep, and
     /// where somebody wants its objects, one that completes some of these, so that none waits longer
-    /// for more than is configured.
-    pub fn due_ns(&self) -> Option<i64> {
-        let objects_every_ns = self.finds_objects.then_some(self.objects_config.every_ns);
-        self.pipeline.next_due_ns(objects_every_ns)
+    /// for more than is configured. `None` if that cannot be predicted.
+    pub fn due(&self) -> Option<Due> {
+        let sweep_ns = self.pipeline.next_due_ns(None)?;
+        let every_ns = self.finds_objects.then_some(self.objects_config.every_ns);
+        let objects_ns = self
+            .pipeline
+            .next_due_ns(every_ns)
+            .filter(|objects_ns| *objects_ns < sweep_ns);
+        Some(Due {
+            sweep_ns,
+            objects_ns,
+        })
     }
 
     /// Takes a position packet.
