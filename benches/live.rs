@@ -1,29 +1,36 @@
-//! The daemon at work, over loopback: latency by stage, load, and what it costs.
+//! The daemon at work, over loopback: what it costs, as a ratio to a bare receiver of the same packets
+//! in the same run, latency by stage, and load.
 //!
 //! ```text
 //! cargo bench --bench live                       all of it, about ten minutes
 //! cargo bench --bench live -- latency hdl64e     what has these words in its name
-//! cargo bench --bench live -- objects            how late objects are, and what they cost
+//! SWEEPD_BENCH_OTHER=/path/to/sweepd cargo bench --bench live -- paired
+//!                                                against another program, and against itself (A/A)
 //! ```
 //!
-//! Each runs `sweepd run` and `sweepd watch` in processes of their own. The packets are simulated
+//! `sweepd run` and `sweepd watch` run in processes of their own. The packets are simulated
 //! beforehand, or those of a real capture where it is at hand, and sent in a loop, with the
-//! sensor's clock and head going on, so that the sender costs little. After what the daemon costs
-//! stands what the machine takes for less: to wake up three times a turn for nothing, and to take
-//! the same packets from the kernel then, as the daemon does, and do nothing with them.
+//! sensor's clock and head going on, so that the sender costs little. The bare receiver takes them
+//! from the kernel thirty times a second, and does nothing with them.
+//!
+//! All run at real-time priority where the machine allows it, so that other work only takes caches.
+//! A core that sleeps between packets takes longer to wake up, and runs at a lower clock; so the
+//! ratio is given with both cores kept busy by other work, too.
 
 use std::net::{Ipv4Addr, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, mpsc};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use sweepd::client::{Client, Domain};
+use sweepd::client::{Client, Domain, Objects};
+use sweepd::host::realtime_ns;
 use sweepd::input::{Capture, UdpConfig, UdpSource};
 use sweepd::sensor::model::Spec;
 use sweepd::sensor::{Model, ModelExt};
+use sweepd::sweep::objects::why;
 use sweepd::wire::DataPacket;
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::{Emitter, EmitterConfig, fixtures};
@@ -32,6 +39,14 @@ use sweepd_lab::simulate::{Emitter, EmitterConfig, fixtures};
 const SWEEPS: u32 = 1000;
 /// Data packets for each position packet, of real sensors.
 const FOR_EACH_POSITION: u64 = 5;
+/// The first seconds are for the pool, the caches and the height of the sensor.
+const BEFORE: Duration = Duration::from_secs(3);
+/// How long a consumer waits before it looks whether the run is over.
+const WAIT: Duration = Duration::from_millis(500);
+/// Runs of each program of a pair.
+const ALTERNATIONS: usize = 7;
+/// The program that is measured.
+const THIS: &str = env!("CARGO_BIN_EXE_sweepd");
 
 fn main() {
     let words: Vec<String> = std::env::args()
@@ -39,74 +54,61 @@ fn main() {
         .filter(|word| !word.starts_with("--"))
         .collect();
     let is_wanted = |name: &str| words.iter().all(|word| name.contains(word.as_str()));
-    println!("{}", machine());
-    for (name, model, mode) in [
-        ("latency vlp16", Model::Vlp16, ReturnMode::Strongest),
-        ("latency hdl32e", Model::Hdl32e, ReturnMode::Strongest),
-        ("latency hdl64e", Model::Hdl64eS2, ReturnMode::Strongest),
+    println!("{}, {}", machine(), real_time());
+    let (vlp16, hdl64e) = (Model::Vlp16, Model::Hdl64eS2);
+    for (name, model, capture) in [
+        ("cost vlp16", vlp16, ""),
+        ("cost vlp16 einride", vlp16, "vlp16_einride-a.pcap"),
+        ("cost vlp16 mrpt", vlp16, "vlp16_mrpt-gps.pcap"),
+        ("cost vlp16 rlu", vlp16, "vlp16_rlu-velodyne-example.pcap"),
+        ("cost hdl64e", hdl64e, ""),
     ] {
         if is_wanted(name) {
-            latency(name, &Stream::new(model, mode, 1200.0), &[]);
-        }
-    }
-    for (name, model) in [
-        ("latency of objects vlp16", Model::Vlp16),
-        ("latency of objects hdl64e", Model::Hdl64eS2),
-    ] {
-        if is_wanted(name) {
-            let stream = Stream::new(model, ReturnMode::Strongest, 600.0);
-            latency(name, &stream, &["--objects"]);
-        }
-    }
-    for (name, model) in [
-        ("cost of objects vlp16", Model::Vlp16),
-        ("cost of objects hdl64e", Model::Hdl64eS2),
-    ] {
-        if is_wanted(name) {
-            let stream = Stream::new(model, ReturnMode::Strongest, 600.0);
-            let without = load(name, &stream, 1.0, 20, false);
-            let with = load(name, &stream, 1.0, 20, true);
-            println!(
-                "  with a consumer of objects the daemon takes {:.2} times as much",
-                with / without
-            );
-        }
-    }
-    for (name, source) in [
-        ("cost vlp16", Source::Street(Model::Vlp16)),
-        (
-            "cost vlp16 einride",
-            Source::Capture(Model::Vlp16, "vlp16_einride-a.pcap"),
-        ),
-        (
-            "cost vlp16 mrpt",
-            Source::Capture(Model::Vlp16, "vlp16_mrpt-gps.pcap"),
-        ),
-        (
-            "cost vlp16 rlu",
-            Source::Capture(Model::Vlp16, "vlp16_rlu-velodyne-example.pcap"),
-        ),
-        ("cost hdl64e", Source::Street(Model::Hdl64eS2)),
-    ] {
-        if is_wanted(name) {
-            match source.stream() {
-                Some(stream) => {
-                    let share = load(name, &stream, 1.0, 20, false);
-                    least(&stream, 10, share);
-                }
+            let stream = match capture {
+                "" => Some(Stream::new(model, ReturnMode::Strongest, 600.0)),
+                file => Stream::captured(model, file),
+            };
+            match stream {
+                Some(stream) => cost(name, &stream),
                 None => println!("\n== {name}: that capture is not at hand (see CONTRIBUTING.md)"),
             }
         }
     }
+    for (name, model, rpm, options) in [
+        ("latency vlp16", vlp16, 1200.0, ""),
+        ("latency hdl32e", Model::Hdl32e, 1200.0, ""),
+        ("latency hdl64e", hdl64e, 1200.0, ""),
+        ("latency of objects vlp16", vlp16, 600.0, " --objects"),
+        ("latency of objects hdl64e", hdl64e, 600.0, " --objects"),
+    ] {
+        if is_wanted(name) {
+            let stream = Stream::new(model, ReturnMode::Strongest, rpm);
+            latency(name, &stream, options);
+        }
+    }
     let name = "load hdl64e dual, 4 times real time";
     if is_wanted(name) {
-        load(
-            name,
-            &Stream::new(Model::Hdl64eS3, ReturnMode::Dual, 600.0),
-            4.0,
-            60,
-            false,
-        );
+        println!("\n== {name}");
+        let stream = Stream::new(Model::Hdl64eS3, ReturnMode::Dual, 600.0);
+        load(THIS.as_ref(), &stream, 4.0, 60, false).print();
+    }
+    if let Some(other) = std::env::var_os("SWEEPD_BENCH_OTHER") {
+        for (name, model) in [("paired vlp16", vlp16), ("paired hdl64e", hdl64e)] {
+            if is_wanted(name) {
+                let stream = Stream::new(model, ReturnMode::Strongest, 600.0);
+                paired(name, &stream, other.as_ref());
+            }
+        }
+    }
+}
+
+/// Gives this process, and those that it starts, real-time priority; how that went.
+fn real_time() -> &'static str {
+    let mut chrt = Command::new("chrt");
+    chrt.args(["--fifo", "--pid", "20", &std::process::id().to_string()]);
+    match chrt.stderr(Stdio::null()).status() {
+        Ok(status) if status.success() => "at real-time priority",
+        _ => "without real-time priority: `chrt` is not allowed to give it",
     }
 }
 
@@ -128,27 +130,9 @@ fn machine() -> String {
     )
 }
 
-/// Where packets are from whose cost is measured.
-enum Source {
-    /// A turn and a half of the simulated street.
-    Street(Model),
-    /// All data packets of a real capture of a sensor that turns ten times a second.
-    Capture(Model, &'static str),
-}
-
-impl Source {
-    fn stream(&self) -> Option<Stream> {
-        match *self {
-            Self::Street(model) => Some(Stream::new(model, ReturnMode::Strongest, 600.0)),
-            Self::Capture(model, file) => Stream::captured(model, file),
-        }
-    }
-}
-
 /// Packets to be sent for ever: simulated ones, or those of a capture.
 struct Stream {
     model: Model,
-    mode: ReturnMode,
     packets: Vec<DataPacket>,
     /// What is sent after each fifth of them to another port, by a sensor that sends such.
     position: Option<Vec<u8>>,
@@ -180,7 +164,6 @@ impl Stream {
         let cdeg = us * 1e-6 * rpm / 60.0 * 36_000.0;
         Self {
             model,
-            mode,
             packets,
             position,
             period_ns,
@@ -216,7 +199,6 @@ impl Stream {
         let position = Self::new(model, mode, 600.0).position;
         Some(Self {
             model,
-            mode,
             position,
             period_ns,
             us,
@@ -242,36 +224,27 @@ impl Stream {
         packet
     }
 
-    /// Sends them to a port, and position packets to the other, at this many times their own pace,
-    /// until `over`; gives how many of the former.
-    fn send(
-        &self,
-        [port, position_port]: [u16; 2],
-        pace: f64,
-        mut over: impl FnMut() -> bool,
-    ) -> u64 {
+    /// Sends them to pairs of ports, for data and position packets, at this many times their own
+    /// pace, until `over`; gives how many data packets.
+    fn send(&self, to: &[[u16; 2]], pace: f64, mut over: impl FnMut() -> bool) -> u64 {
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+        let send = |bytes: &[u8], port| socket.send_to(bytes, (Ipv4Addr::LOCALHOST, port)).unwrap();
         let (begun, mut number) = (Instant::now(), 0);
         while !over() {
-            let due = (begun.elapsed().as_nanos() as f64 * pace / self.period_ns as f64) as u64;
-            while number < due {
-                socket
-                    .send_to(self.packet(number).emit(), (Ipv4Addr::LOCALHOST, port))
-                    .unwrap();
-                number += 1;
-                if let Some(position) = self
-                    .position
-                    .as_ref()
-                    .filter(|_| number.is_multiple_of(FOR_EACH_POSITION))
-                {
-                    socket
-                        .send_to(position, (Ipv4Addr::LOCALHOST, position_port))
-                        .unwrap();
+            number += 1;
+            let due = Duration::from_nanos(number * self.period_ns).div_f64(pace);
+            thread::sleep(due.saturating_sub(begun.elapsed()));
+            let packet = self.packet(number);
+            let position = self
+                .position
+                .as_ref()
+                .filter(|_| number.is_multiple_of(FOR_EACH_POSITION));
+            for [port, position_port] in to {
+                send(packet.emit(), *port);
+                if let Some(position) = position {
+                    send(position, *position_port);
                 }
             }
-            thread::sleep(Duration::from_nanos(
-                (self.period_ns as f64 / pace) as u64 / 2,
-            ));
         }
         number
     }
@@ -287,7 +260,7 @@ struct Daemon {
 }
 
 impl Daemon {
-    fn start(model: Model) -> Self {
+    fn start(program: &Path, model: Model) -> Self {
         let folder = std::env::temp_dir().join(format!("sweepd-live-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let free = || {
@@ -315,7 +288,7 @@ impl Daemon {
             folder.join("iox2").display()
         );
         std::fs::write(folder.join("sweepd.toml"), config).unwrap();
-        let child = Command::new(env!("CARGO_BIN_EXE_sweepd"))
+        let child = Command::new(program)
             .args(["run", "--config"])
             .arg(folder.join("sweepd.toml"))
             .stderr(std::fs::File::create(folder.join("log")).unwrap())
@@ -333,13 +306,12 @@ impl Daemon {
         Domain::at(self.folder.join("iox2"))
     }
 
-    /// Processor time of its threads so far, seconds; none of them ends before it does.
-    fn cpu_seconds(&self) -> f64 {
+    /// Processor time of its threads so far, nanoseconds; none of them ends before it does.
+    fn worked_ns(&self) -> f64 {
         let threads = std::fs::read_dir(format!("/proc/{}/task", self.child.id())).unwrap();
         threads
             .map(|thread| worked_ns(&thread.unwrap().path()))
-            .sum::<f64>()
-            * 1e-9
+            .sum()
     }
 
     /// Resident memory, KiB.
@@ -382,31 +354,21 @@ impl Drop for Daemon {
 }
 
 /// What `watch --latency` shows, with these options more.
-fn latency(name: &str, stream: &Stream, options: &[&str]) {
+fn latency(name: &str, stream: &Stream, options: &str) {
     let rate_hz = stream.cdeg / 36_000.0 / (f64::from(stream.us) * 1e-6);
     println!(
         "\n== {name}: {} at {rate_hz:.0} Hz, {SWEEPS} sweeps",
         stream.model
     );
-    let daemon = Daemon::start(stream.model);
-    let root = daemon.folder.join("iox2");
-    let mut watch = Command::new(env!("CARGO_BIN_EXE_sweepd"))
-        .args([
-            "watch",
-            "bench",
-            "--latency",
-            "--timeout",
-            "20",
-            "--sweeps",
-            &SWEEPS.to_string(),
-            "--root",
-        ])
-        .arg(root)
-        .args(options)
+    let daemon = Daemon::start(THIS.as_ref(), stream.model);
+    let watch = format!("watch bench --latency --timeout 20 --sweeps {SWEEPS}{options} --root");
+    let mut watch = Command::new(THIS)
+        .args(watch.split(' '))
+        .arg(daemon.folder.join("iox2"))
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();
-    stream.send(daemon.ports, 1.0, || watch.try_wait().unwrap().is_some());
+    stream.send(&[daemon.ports], 1.0, || watch.try_wait().unwrap().is_some());
     let text = String::from_utf8(watch.wait_with_output().unwrap().stdout).unwrap();
     // The table of the seconds is for who watches.
     println!(
@@ -418,128 +380,261 @@ fn latency(name: &str, stream: &Stream, options: &[&str]) {
     );
 }
 
-/// Sends at a multiple of real time, to a consumer of sweeps and, if it is so, one of objects; what
-/// the daemon took, percent of a core.
-fn load(name: &str, stream: &Stream, pace: f64, seconds: u64, listens: bool) -> f64 {
-    let rate = 1e9 / stream.period_ns as f64 * pace;
-    let returns = if stream.mode == ReturnMode::Dual {
-        "two returns"
-    } else {
-        "one return"
-    };
-    println!(
-        "\n== {name}: {}, {returns}, {rate:.0} packets/s for {seconds} s",
-        stream.model
-    );
-    let daemon = Daemon::start(stream.model);
-    let mut client = Client::within(&daemon.domain(), "bench").unwrap();
-    let mut objects = client.objects().unwrap();
-    let listener = listens.then(|| {
-        thread::spawn(move || {
-            let mut messages = 0;
-            while objects
-                .next(Duration::from_secs(5))
-                .unwrap()
-                .received()
-                .is_some()
-            {
-                messages += 1;
+/// What the daemon costs, without and with a consumer of objects, on busy cores and on those of the
+/// machine as it is.
+fn cost(name: &str, stream: &Stream) {
+    println!("\n== {name}: {}", stream.model);
+    for listens in [false, true] {
+        for is_busy in [true, false] {
+            let _work = is_busy.then(OtherWork::start);
+            println!(
+                " with {}, {}:",
+                if listens { "objects" } else { "sweeps alone" },
+                if is_busy {
+                    "busy cores"
+                } else {
+                    "the machine as it is"
+                },
+            );
+            load(THIS.as_ref(), stream, 1.0, 20, listens).print();
+        }
+    }
+}
+
+/// What two programs cost, in turn, with the same packets, and what this one costs twice.
+fn paired(name: &str, stream: &Stream, other: &Path) {
+    println!("\n== {name}: this program / {}", other.display());
+    let _work = OtherWork::start();
+    for listens in [false, true] {
+        let mut runs: [Vec<Load>; 3] = Default::default();
+        for turn in 0..ALTERNATIONS {
+            for place in 0..3 {
+                // Forwards and backwards, since what comes later may meet another machine.
+                let program = if turn % 2 == 0 { place } else { 2 - place };
+                let path = if program == 0 { other } else { THIS.as_ref() };
+                runs[program].push(load(path, stream, 1.0, 7, listens));
             }
-            messages
-        })
-    });
+        }
+        println!(
+            " with {}:",
+            if listens { "objects" } else { "sweeps alone" }
+        );
+        let [other, this, again] = &runs;
+        for (what, from, to) in [("this / other", other, this), ("A/A", this, again)] {
+            let ratios = from
+                .iter()
+                .zip(to)
+                .map(|(from, to)| to.daemon / from.daemon);
+            let ratios = sorted(ratios);
+            let [least, most] = [ratios[0], ratios[ratios.len() - 1]];
+            println!(
+                "  {what}: {:.3} ({least:.3} to {most:.3})",
+                at(&ratios, 0.5)
+            );
+        }
+        for (what, runs) in [("other", other), ("this", this), ("this again", again)] {
+            let ratio = sorted(runs.iter().map(|run| run.daemon / run.receiver));
+            let share = sorted(runs.iter().map(|run| run.daemon));
+            let delays = sorted(runs.iter().flat_map(|run| run.delays_ms.iter().copied()));
+            println!(
+                "  {what}: {:.2} times the bare receiver, {:.2} %; objects p50 {:.2}, p99 {:.2} ms",
+                at(&ratio, 0.5),
+                at(&share, 0.5),
+                at(&delays, 0.5),
+                at(&delays, 0.99)
+            );
+        }
+    }
+}
+
+fn sorted(values: impl Iterator<Item = f64>) -> Vec<f64> {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values
+}
+
+/// The value below which this part of them is.
+fn at(sorted: &[f64], part: f64) -> f64 {
+    let last = sorted.len().saturating_sub(1);
+    sorted
+        .get((last as f64 * part).round() as usize)
+        .copied()
+        .unwrap_or(f64::NAN)
+}
+
+/// Other work on each core, which gives way to everything else; ended with this.
+struct OtherWork(Vec<Child>);
+
+impl OtherWork {
+    fn start() -> Self {
+        let cores = thread::available_parallelism().map_or(0, usize::from);
+        let mut chrt = Command::new("chrt");
+        chrt.args(["--idle", "0", "sh", "-c", "while :; do :; done"]);
+        Self((0..cores).flat_map(|_| chrt.spawn()).collect())
+    }
+}
+
+impl Drop for OtherWork {
+    fn drop(&mut self) {
+        for child in &mut self.0 {
+            child.kill().unwrap();
+            child.wait().unwrap();
+        }
+    }
+}
+
+/// What a run took.
+struct Load {
+    /// Percent of a core that the daemon took.
+    daemon: f64,
+    /// The same of the bare receiver.
+    receiver: f64,
+    /// From the shot of the last return of a complete object to its consumer, milliseconds.
+    delays_ms: Vec<f64>,
+    /// What else is known.
+    notes: Vec<String>,
+}
+
+impl Load {
+    fn print(self) {
+        println!(
+            "  {:.2} times a bare receiver of the same packets: {:.2} and {:.2} % of a core",
+            self.daemon / self.receiver,
+            self.daemon,
+            self.receiver
+        );
+        let delays_ms = sorted(self.delays_ms.into_iter());
+        if !delays_ms.is_empty() {
+            let [half, most] = [0.5, 0.99].map(|part| at(&delays_ms, part));
+            println!("  objects after their last return: p50 {half:.2}, p99 {most:.2} ms");
+        }
+        for note in self.notes {
+            println!("  {note}");
+        }
+    }
+}
+
+/// Sends at a multiple of real time, to the daemon, with a consumer of sweeps and, if it is so, one
+/// of objects, and to a bare receiver.
+fn load(program: &Path, stream: &Stream, pace: f64, seconds: u64, listens: bool) -> Load {
+    let daemon = Daemon::start(program, stream.model);
+    let mut client = Client::within(&daemon.domain(), "bench").unwrap();
+    let objects = client.objects().unwrap();
+    let over = Arc::new(AtomicBool::new(false));
+    let [is_over, is_over_too] = [&over, &over].map(Arc::clone);
+    let listener = listens.then(|| thread::spawn(move || delays_ms(objects, &is_over_too)));
     let consumer = thread::spawn(move || {
         let (mut sweeps, mut lost, mut dropped) = (0_u64, 0_u64, 0_u64);
-        while let Some(sweep) = client.next(Duration::from_secs(5)).unwrap().received() {
+        while !is_over.load(Ordering::Relaxed) {
+            let Some(sweep) = client.next(WAIT).unwrap().received() else {
+                continue;
+            };
             let header = *sweep.view().unwrap().header;
             sweeps += 1;
             lost += u64::from(header.lost_packets);
             dropped += u64::from(header.dropped_datagrams);
         }
-        (sweeps, lost, dropped)
+        format!("{sweeps} sweeps received, {lost} packets lost, {dropped} dropped")
     });
-    thread::sleep(Duration::from_secs(1));
-    let (begun, mut marks, mut memory) = (Instant::now(), Vec::new(), Vec::new());
-    let sent = stream.send(daemon.ports, pace, || {
-        let elapsed = begun.elapsed().as_secs();
-        // The first seconds are for the pool and the caches.
-        if elapsed >= 3 && marks.is_empty() {
-            marks.push((Instant::now(), daemon.cpu_seconds()));
+    let receiver = Receiver::start();
+    thread::sleep(Duration::from_millis(500));
+    let (begun, mut mark, mut memory) = (Instant::now(), None, Vec::new());
+    let sent = stream.send(&[daemon.ports, [receiver.port; 2]], pace, || {
+        let elapsed = begun.elapsed();
+        if elapsed >= BEFORE {
+            mark.get_or_insert_with(|| {
+                (
+                    Instant::now(),
+                    daemon.worked_ns(),
+                    worked_ns(&receiver.folder),
+                )
+            });
         }
-        if elapsed >= 3 + 5 * memory.len() as u64 {
+        if elapsed >= BEFORE + Duration::from_secs(5) * memory.len() as u32 {
             memory.push(daemon.memory_kib());
         }
-        elapsed >= seconds
+        elapsed.as_secs() >= seconds
     });
-    let (from, cpu) = marks[0];
-    let share = (daemon.cpu_seconds() - cpu) / from.elapsed().as_secs_f64() * 100.0;
+    let (from, daemon_ns, receiver_ns) = mark.unwrap();
+    let percent = 100.0 / from.elapsed().as_nanos() as f64;
+    let daemon_share = (daemon.worked_ns() - daemon_ns) * percent;
+    let receiver_share = (worked_ns(&receiver.folder) - receiver_ns) * percent;
+    receiver.end();
     thread::sleep(Duration::from_millis(300));
-    for line in daemon.metrics(&["packets_total", "dropped", "lost", "rejected"]) {
-        println!("  {line}");
+    over.store(true, Ordering::Relaxed);
+    let mut notes = daemon.metrics(&["packets_total", "dropped", "lost", "rejected"]);
+    notes.push(format!("{sent} packets sent; {}", consumer.join().unwrap()));
+    notes.push(format!("memory every 5 s, KiB: {memory:?}"));
+    Load {
+        daemon: daemon_share,
+        receiver: receiver_share,
+        delays_ms: listener.map_or_else(Vec::new, |listener| listener.join().unwrap()),
+        notes,
     }
-    let (sweeps, lost, dropped) = consumer.join().unwrap();
-    if let Some(listener) = listener {
-        println!("  {} messages with objects", listener.join().unwrap());
-    }
-    println!(
-        "  {sent} packets sent; {sweeps} sweeps received, {lost} packets lost, {dropped} dropped"
-    );
-    println!("  {share:.2} % of a core; memory every 5 s, KiB: {memory:?}");
-    share
 }
 
-/// What the machine takes for as many wake-ups and packets, without a daemon, and how much more the
-/// daemon took.
-fn least(stream: &Stream, seconds: u64, daemon: f64) {
-    let receiver = UdpSource::bind(&UdpConfig {
-        address: Ipv4Addr::LOCALHOST,
-        ..UdpConfig::port(0)
-    })
-    .unwrap();
-    let port = receiver.local_addr().port();
-    let idlers = [None, Some(receiver)].map(Idler::start);
-    let begun = Instant::now();
-    stream.send([port; 2], 1.0, || begun.elapsed().as_secs() >= seconds);
-    let [waking, receiving] = idlers.map(|idler| idler.end() * 100.0);
-    println!(
-        "  to wake up 30 times a second takes {waking:.2} %, and to take the packets then {receiving:.2} %"
-    );
-    println!(
-        "  the daemon takes {:.1} times as much as that",
-        daemon / receiving
-    );
+/// From the shot of the last return of each object that is complete before its sweep to here,
+/// milliseconds, after the first seconds.
+fn delays_ms(mut objects: Objects, over: &AtomicBool) -> Vec<f64> {
+    let (begun, mut delays_ms) = (Instant::now(), Vec::new());
+    while !over.load(Ordering::Relaxed) {
+        let Some(message) = objects.next(WAIT).unwrap().received() else {
+            continue;
+        };
+        let now_ns = realtime_ns();
+        let view = message.view().unwrap();
+        for object in view.objects {
+            let last_ns = view.header.time_ns + i64::from(object.last_ns);
+            if object.why == why::COMPLETE && begun.elapsed() > BEFORE {
+                delays_ms.push((now_ns - last_ns) as f64 * 1e-6);
+            }
+        }
+    }
+    delays_ms
 }
 
-/// A thread that wakes up three times in a turn of 10 Hz, about as often as those of a daemon with
-/// one sensor together.
-struct Idler {
+/// A thread that takes packets from the kernel three times in a turn of 10 Hz, about as often as the
+/// threads of a daemon with one sensor wake up together, and does nothing with them.
+struct Receiver {
+    port: u16,
     over: Arc<AtomicBool>,
-    thread: JoinHandle<f64>,
+    thread: JoinHandle<()>,
+    /// Its folder in /proc.
+    folder: PathBuf,
 }
 
-impl Idler {
-    fn start(mut source: Option<UdpSource>) -> Self {
+impl Receiver {
+    fn start() -> Self {
+        let config = UdpConfig {
+            address: Ipv4Addr::LOCALHOST,
+            ..UdpConfig::port(0)
+        };
+        let mut source = UdpSource::bind(&config).unwrap();
+        let port = source.local_addr().port();
         let over = Arc::new(AtomicBool::new(false));
         let is_over = Arc::clone(&over);
+        let (sender, folder) = mpsc::channel();
         let thread = thread::spawn(move || {
-            let this = Path::new("/proc/thread-self");
-            let (begun, before_ns) = (Instant::now(), worked_ns(this));
+            let this = std::fs::read_link("/proc/thread-self").unwrap();
+            sender.send(Path::new("/proc").join(this)).unwrap();
             while !is_over.load(Ordering::Relaxed) {
                 thread::sleep(Duration::from_micros(33_333));
-                let Some(source) = &mut source else { continue };
                 while source.receive_counted(Duration::ZERO).unwrap().count() > 0
                     && source.may_hold_more()
                 {}
             }
-            (worked_ns(this) - before_ns) / begun.elapsed().as_nanos() as f64
         });
-        Self { over, thread }
+        Self {
+            port,
+            over,
+            thread,
+            folder: folder.recv().unwrap(),
+        }
     }
 
-    /// The part of a core that it took.
-    fn end(self) -> f64 {
+    fn end(self) {
         self.over.store(true, Ordering::Relaxed);
-        self.thread.join().unwrap()
+        self.thread.join().unwrap();
     }
 }
 
