@@ -203,7 +203,7 @@ impl Command {
         let differences = wanted.differences(&page.settings);
         let is_work = !differences.is_empty() || args.save;
         if !args.json {
-            print(&planned(&differences, is_work && !args.yes))?;
+            print(planned(&differences, is_work && !args.yes))?;
         }
         let does = is_work && args.yes;
         if does {
