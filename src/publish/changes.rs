@@ -1,9 +1,9 @@
 //! Whether anything has changed in the folders where iceoryx2 keeps its files, by inotify(7): one
 //! system call a look, where a look at all files takes hundreds.
 //!
-//! A process that dies is a change, too: the kernel closes the files that its node holds open to
-//! write. Of these, nobody else opens the context so; the others iceoryx2 does, to see whether the
-//! process lives.
+//! A process that dies is a change, too: the kernel closes the files that its node has open for
+//! writing. Only the context tells this: iceoryx2 also opens the others for writing, to see whether
+//! a process lives.
 
 use std::mem::MaybeUninit;
 use std::os::fd::OwnedFd;
@@ -24,15 +24,24 @@ const WATCHED: WatchFlags = WatchFlags::CREATE
 const CONTEXT: &[u8] = b"_context";
 /// Room for the events of one call; one with the longest name takes 272 bytes.
 const EVENT_BYTES: usize = 4096;
+/// Most events that are read at a look: other users may cause any number in /dev/shm.
+const MOST_EVENTS: usize = 2048;
 
 /// The watched folders of a domain.
 #[derive(Debug)]
 pub(super) struct Changes {
     domain: Domain,
-    /// `None` where the system gives none.
+    /// `None` until the first watch, and where the system gives none.
     inotify: Option<OwnedFd>,
-    /// The watch of /dev/shm; `None` unless all folders are watched.
-    shared_memory: Option<i32>,
+    /// `None` unless all folders are watched.
+    watches: Option<Watches>,
+}
+
+/// Numbers of the watches of two of the folders.
+#[derive(Clone, Copy, Debug)]
+struct Watches {
+    nodes: i32,
+    shared_memory: i32,
 }
 
 impl Changes {
@@ -40,8 +49,8 @@ impl Changes {
     pub(super) fn new(domain: Domain) -> Self {
         Self {
             domain,
-            inotify: inotify::init(CreateFlags::NONBLOCK | CreateFlags::CLOEXEC).ok(),
-            shared_memory: None,
+            inotify: None,
+            watches: None,
         }
     }
 
@@ -53,40 +62,47 @@ impl Changes {
         let prefix = self.domain.prefix();
         let mut buffer = [MaybeUninit::uninit(); EVENT_BYTES];
         let mut events = Reader::new(inotify, &mut buffer);
-        let mut is_changed = self.shared_memory.is_none();
-        loop {
-            match events.next() {
-                Ok(event) => {
-                    let name = event.file_name().map_or(&b""[..], |name| name.to_bytes());
-                    // Other programs have files in /dev/shm, too. Without a name, an event is of a
-                    // folder.
-                    let is_foreign = Some(event.wd()) == self.shared_memory
-                        && !(name.is_empty() || name.starts_with(prefix.as_bytes()));
-                    let is_look =
-                        event.events() == ReadFlags::CLOSE_WRITE && !name.ends_with(CONTEXT);
-                    is_changed |= !is_foreign && !is_look;
-                }
+        let Some(watches) = self.watches else {
+            return true;
+        };
+        let mut is_changed = false;
+        for _ in 0..MOST_EVENTS {
+            let event = match events.next() {
+                Ok(event) => event,
                 Err(Errno::AGAIN) => return is_changed,
                 Err(_) => return true,
-            }
+            };
+            let name = event.file_name().map_or(&b""[..], |name| name.to_bytes());
+            // Other programs have files in /dev/shm, too. Without a name, an event is of a folder.
+            let is_foreign = event.wd() == watches.shared_memory
+                && !(name.is_empty() || name.starts_with(prefix.as_bytes()));
+            let is_look = event.wd() == watches.nodes
+                && event.events() == ReadFlags::CLOSE_WRITE
+                && !name.ends_with(CONTEXT);
+            is_changed |= !is_foreign && !is_look;
         }
+        true
     }
 
     /// Watches the folders that are there now: one that was made again is another.
     pub(super) fn renew(&mut self) {
-        self.shared_memory = self.watch().ok();
+        self.watches = self.watch().ok();
     }
 
-    fn watch(&self) -> rustix::io::Result<i32> {
-        let inotify = self.inotify.as_ref().ok_or(Errno::BADF)?;
-        for folder in [
-            self.domain.root(),
-            &self.domain.services(),
-            &self.domain.nodes(),
-        ] {
+    fn watch(&mut self) -> rustix::io::Result<Watches> {
+        let inotify = match &self.inotify {
+            Some(inotify) => inotify,
+            None => self
+                .inotify
+                .insert(inotify::init(CreateFlags::NONBLOCK | CreateFlags::CLOEXEC)?),
+        };
+        for folder in [self.domain.root(), &self.domain.services()] {
             inotify::add_watch(inotify, folder, WATCHED)?;
         }
-        inotify::add_watch(inotify, SHARED_MEMORY, WATCHED)
+        Ok(Watches {
+            nodes: inotify::add_watch(inotify, self.domain.nodes(), WATCHED)?,
+            shared_memory: inotify::add_watch(inotify, SHARED_MEMORY, WATCHED)?,
+        })
     }
 }
 
@@ -96,6 +112,7 @@ mod tests {
     use std::fs;
     use std::path::Path;
     use sweepd_client::join::node;
+    use sweepd_client::leftovers::remove;
 
     #[test]
     fn what_comes_goes_or_dies_in_a_domain_is_a_change_and_nothing_else() {
@@ -123,9 +140,14 @@ mod tests {
         assert!(changes.any() && !changes.any(), "a process died");
         drop(held);
         assert!(changes.any(), "a node has gone");
+        fs::write(domain.services().join("1.service"), "").unwrap();
+        assert!(changes.any() && !changes.any(), "overwritten");
         fs::remove_dir_all(&root).unwrap();
         assert!(changes.any() && !changes.any());
         changes.renew();
         assert!(changes.any(), "the folders are gone");
+        for file in domain.shared_memory() {
+            remove(&file);
+        }
     }
 }

@@ -35,8 +35,11 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// removed at one of the next two looks.
 const LOOKS_AFTER_A_CHANGE: u32 = 5;
 /// Without a change, every look of this number is at all files: a folder above them may have been
-/// moved, or a child of a process that died may hold its files open, which no event tells.
+/// moved, which no event tells.
 const FULL_LOOK_EVERY: u32 = 10;
+/// Without a change, dead processes are looked for at every look of this number: the child of one
+/// may hold its files open, so that no event tells.
+const CLEAN_UP_EVERY: u32 = 2;
 /// How long to wait for the keeper: longer than it takes to clean up after several processes that
 /// died.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -112,9 +115,9 @@ impl Keeper {
         })?
     }
 
-    /// Removes files of shared memory that a process left unfinished a second ago or longer, by
-    /// which the keeper may be held up, while it is at work. Takes microseconds; for a thread that
-    /// looks around about once a second.
+    /// Removes files of shared memory that hold up the keeper: those that a process left unfinished a
+    /// second ago or longer. Does nothing while the keeper waits. Takes microseconds; for a thread
+    /// that looks around about once a second.
     pub fn remove_unfinished(&self) {
         if self.is_at_work.load(Ordering::Relaxed) {
             remove_unfinished(&self.domain);
@@ -258,31 +261,41 @@ impl KeeperThread {
             true => 0,
             false => self.quiet_looks.saturating_add(1),
         };
-        if self.quiet_looks < LOOKS_AFTER_A_CHANGE
-            || self.quiet_looks.is_multiple_of(FULL_LOOK_EVERY)
-        {
-            self.look_at_files();
-        }
+        let is_full = self.quiet_looks < LOOKS_AFTER_A_CHANGE
+            || self.quiet_looks.is_multiple_of(FULL_LOOK_EVERY);
+        let is_pending = is_full && self.remove_leftovers();
         for kept in &mut self.services {
+            if is_full {
+                kept.close_if_missing();
+            }
             kept.look(&self.domain);
+        }
+        // Only now: a service that has lost its file has it again.
+        if is_full && !is_pending {
+            self.remove_lists();
+        }
+        if is_full || self.quiet_looks.is_multiple_of(CLEAN_UP_EVERY) {
+            self.clean_up();
         }
     }
 
-    fn look_at_files(&mut self) {
+    /// Whether something unfinished is too young to be removed.
+    fn remove_leftovers(&mut self) -> bool {
         // Before they are looked at: what changes meanwhile is seen at the next look.
         self.changes.renew();
         let is_pending = remove_unfinished(&self.domain);
         leftovers::remove_remains(&self.domain);
-        for kept in &mut self.services {
-            kept.renew_if_missing(&self.domain);
-        }
-        // Only now: a service that has lost its file has it again.
-        if !is_pending {
-            let services = self.services.iter().flat_map(|kept| &kept.service);
-            let lists: Vec<&Path> = services.flat_map(Service::lists).collect();
-            leftovers::remove_lists(&self.domain, &lists, &mut self.orphans);
-        }
-        // One cleans up for all.
+        is_pending
+    }
+
+    fn remove_lists(&mut self) {
+        let services = self.services.iter().flat_map(|kept| &kept.service);
+        let lists: Vec<&Path> = services.flat_map(Service::lists).collect();
+        leftovers::remove_lists(&self.domain, &lists, &mut self.orphans);
+    }
+
+    /// Cleans up after processes that died: one service does for all.
+    fn clean_up(&self) {
         if let Some(service) = self.services.iter().find_map(|kept| kept.service.as_ref()) {
             service.clean_up();
         }
@@ -290,14 +303,12 @@ impl KeeperThread {
 }
 
 impl KeptService {
-    fn renew_if_missing(&mut self, domain: &Domain) {
+    fn close_if_missing(&mut self) {
         if let Some(missing) = self.service.as_ref().and_then(Service::missing) {
             self.close();
             self.sensor_pool
                 .status
                 .set_renewed(format!("{} was deleted", missing.display()));
-            // The status reports a failure; it is tried again at each look.
-            let _ = self.make_room(domain);
         }
     }
 
@@ -305,7 +316,7 @@ impl KeptService {
         if let Some(service) = &mut self.service {
             service.tidy();
         }
-        // The same.
+        // The status reports a failure; it is tried again at the next look.
         let _ = self.make_room(domain);
     }
 
