@@ -6,7 +6,7 @@
 //! ```
 //!
 //! Where somebody wants the objects of the open sweep, a nap also ends just behind each packet that
-//! completes some of them: it is there then, and one call takes it with those before it.
+//! completes some of them: it is there then, and is taken with those before it.
 //!
 //! On a port with position packets alone there are no sweeps, and one nap follows the other.
 
@@ -25,7 +25,10 @@ pub const LONGEST_OF_POSITIONS: Duration = Duration::from_millis(250);
 const ALERT_NS: i64 = 200_000;
 /// From an expected packet with objects to the end of the nap, nanoseconds: more than packets of a
 /// sensor are late by.
-const BEHIND_NS: i64 = 60_000;
+const BEHIND_NS: i64 = 15_000;
+/// Most work for which a packet with objects may wait, nanoseconds; where more gathers, it is done
+/// before that packet is due, as at the end of a sweep.
+const OBJECTS_WAIT_NS: i64 = 500_000;
 /// Most work that may wait, nanoseconds; the nap ends early enough to do it before the sweep is
 /// complete.
 const CATCH_UP_NS: i64 = 2_100_000;
@@ -125,17 +128,17 @@ impl Due {
     /// Duration of a nap that begins now, nanoseconds.
     pub fn nap_ns(self, now_ns: i64, longest_ns: i64, load: &Load) -> i64 {
         let nap_ns = length_ns(self.sweep_ns.saturating_sub(now_ns), longest_ns, load);
-        match self.objects_ns {
-            Some(due_ns) => {
-                let until_ns = due_ns.saturating_sub(now_ns);
-                // One that is late by now is waited for.
-                if until_ns > 0 {
-                    nap_ns.min(until_ns.saturating_add(BEHIND_NS))
-                } else {
-                    0
-                }
-            }
-            None => nap_ns,
+        let Some(due_ns) = self.objects_ns else {
+            return nap_ns;
+        };
+        let until_ns = due_ns.saturating_sub(now_ns);
+        // One that is late by now is waited for.
+        if until_ns <= 0 {
+            0
+        } else if load.takes_ns(until_ns) > OBJECTS_WAIT_NS {
+            length_ns(until_ns, longest_ns, load)
+        } else {
+            nap_ns.min(until_ns.saturating_add(BEHIND_NS))
         }
     }
 }
@@ -228,6 +231,9 @@ mod tests {
         assert!((MS..3 * MS - ALERT_NS).contains(&until_sweep_ns));
         assert_eq!(nap_ns(due(3 * MS, Some(3 * MS - 1))), until_sweep_ns);
         assert_eq!(due(50 * MS, Some(3 * MS)).nap_ns(0, MS, &load), MS);
+        // A machine that works half of the time wakes up before that packet.
+        let busy_ns = due(50 * MS, Some(5 * MS)).nap_ns(0, 100 * MS, &self::load(50));
+        assert!((2 * MS..3 * MS).contains(&busy_ns), "{busy_ns}");
     }
 
     #[test]

@@ -207,10 +207,10 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         !self.state.sensors.is_empty()
     }
 
-    /// Naps while no sweep of any sensor is about to end, and no more of its objects are complete
-    /// that somebody wants; the socket keeps the packets. A quiet
-    /// port waits on its socket instead, until a packet comes. At the end of the daemon, napping
-    /// threads are unparked, and waiting ones are woken by a socket.
+    /// Naps until a sweep of a sensor is about to end, or a packet is there that completes objects
+    /// which somebody wants; the socket keeps the packets. A quiet port waits on its socket instead,
+    /// until a packet comes. At the end of the daemon, napping threads are unparked, and waiting ones
+    /// are woken by a socket.
     fn rest(&self) {
         if self.is_quiet() {
             // A port for position packets alone gets no requests but recordings, for which it

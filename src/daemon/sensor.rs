@@ -167,11 +167,13 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     /// for more than is configured. `None` if that cannot be predicted.
     pub fn due(&self) -> Option<Due> {
         let sweep_ns = self.pipeline.next_due_ns(None)?;
-        let every_ns = self.finds_objects.then_some(self.objects_config.every_ns);
-        let objects_ns = self
-            .pipeline
-            .next_due_ns(every_ns)
-            .filter(|objects_ns| *objects_ns < sweep_ns);
+        let mut objects_ns = None;
+        if self.finds_objects {
+            let due_ns = self
+                .pipeline
+                .next_due_ns(Some(self.objects_config.every_ns))?;
+            objects_ns = Some(due_ns).filter(|due_ns| *due_ns < sweep_ns);
+        }
         Some(Due {
             sweep_ns,
             objects_ns,
