@@ -2,6 +2,7 @@
 //! HTTP.
 
 use crate::admission::Refusal;
+use std::fs::File;
 use std::future::pending;
 use std::io;
 use std::path::Path;
@@ -40,6 +41,9 @@ const READ_PATIENCE: Duration = Duration::from_secs(30);
 /// Interval between attempts to start: the first, and the longest.
 const RETRY: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(2));
 
+/// How many descriptors tokio opens, rounded up.
+const TOKIO_DESCRIPTORS: usize = 6;
+
 /// A configuration that was read again.
 #[derive(Clone, Debug)]
 pub struct Reload {
@@ -75,13 +79,10 @@ pub fn run<S: Sharing>(
     hangup: &AtomicBool,
 ) -> Result<(), DaemonError> {
     let begun = Instant::now();
-    let tokio = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .map_err(|source| DaemonError::System {
-            what: "start the control thread",
-            source,
-        })?;
+    let tokio = tokio_runtime().map_err(|source| DaemonError::System {
+        what: "start the control thread",
+        source,
+    })?;
     tokio.block_on(async {
         // Before anything is opened, so that no signal interrupts that.
         let mut signals = Signals::new().map_err(|source| DaemonError::System {
@@ -108,6 +109,19 @@ pub fn run<S: Sharing>(
             .serve(sharing, signals, http, server, is_to_reload)
             .await
     })
+}
+
+/// The runtime of the control thread. Tokio panics where there are no descriptors for its signals, so
+/// these are tried before.
+fn tokio_runtime() -> io::Result<tokio::runtime::Runtime> {
+    let mut held = Vec::new();
+    for _ in 0..TOKIO_DESCRIPTORS {
+        held.push(File::open("/dev/null")?);
+    }
+    drop(held);
+    tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
 }
 
 /// Starts, and retries while the cause may pass: at boot, the network may not be up yet. `None`

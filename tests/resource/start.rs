@@ -18,7 +18,7 @@ struct Case {
     says: &'static [&'static str],
 }
 
-const CASES: [Case; 7] = [
+const CASES: [Case; 8] = [
     Case {
         name: "/dev/shm is too small",
         config: ("model = \"vlp16\"", ""),
@@ -40,6 +40,14 @@ const CASES: [Case; 7] = [
         script: "ulimit -n 8",
         code: 1,
         says: &["error: ", "Too many open files"],
+    },
+    Case {
+        name: "fewer descriptors than tokio opens",
+        config: ("", ""),
+        unshare: &["-m"],
+        script: "ulimit -n 6",
+        code: 1,
+        says: &["error: cannot start the control thread: Too many open files"],
     },
     Case {
         name: "no descriptors for shared memory",
