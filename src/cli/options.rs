@@ -412,7 +412,7 @@ impl SegmentOptions {
         }
         let is_theta_given = given.iter().any(|(one, _)| one.option == "theta");
         if is_theta_given && to.segment.method != segment::Method::Paper {
-            let warning = "`--theta` does nothing: it is of the method `paper`, and this is `slope`; leave it out, or add --method paper";
+            let warning = "`--theta` does nothing: only the method `paper` reads it, and this is `slope`; leave it out, or add --method paper";
             complain("warning", warning);
         }
         self.apply_removal(to)

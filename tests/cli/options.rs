@@ -187,7 +187,7 @@ fn theta_without_its_method_is_warned_of() {
     assert_eq!(alone.code, 0, "{}", alone.stderr);
     assert_eq!(
         alone.stderr,
-        "warning: `--theta` does nothing: it is of the method `paper`, and this is `slope`; leave it out, or add --method paper\n"
+        "warning: `--theta` does nothing: only the method `paper` reads it, and this is `slope`; leave it out, or add --method paper\n"
     );
     let paper = paper.to_str().unwrap();
     for with in [["--method", "paper"], ["--config", paper]] {
