@@ -2,7 +2,7 @@
 //! in the same run, latency by stage, and load.
 //!
 //! ```text
-//! cargo bench --bench live                       all of it, about ten minutes
+//! cargo bench --bench live                       all of it, about fourteen minutes
 //! cargo bench --bench live -- latency hdl64e     what has these words in its name
 //! SWEEPD_BENCH_OTHER=/path/to/sweepd cargo bench --bench live -- paired
 //!                                                against another program, and against itself (A/A)
@@ -437,13 +437,20 @@ fn paired(name: &str, stream: &Stream, other: &Path) {
             let share = sorted(runs.iter().map(|run| run.daemon));
             let delays = sorted(runs.iter().flat_map(|run| run.delays_ms.iter().copied()));
             println!(
-                "  {what}: {:.2} times the bare receiver, {:.2} %; objects p50 {:.2}, p99 {:.2} ms",
+                "  {what}: {:.2} times the bare receiver, {:.2} % of a core",
                 at(&ratio, 0.5),
-                at(&share, 0.5),
-                at(&delays, 0.5),
-                at(&delays, 0.99)
+                at(&share, 0.5)
             );
+            print_delays(&delays);
         }
+    }
+}
+
+/// Delays of objects, milliseconds, if there are any.
+fn print_delays(sorted: &[f64]) {
+    if !sorted.is_empty() {
+        let [half, most] = [0.5, 0.99].map(|part| at(sorted, part));
+        println!("  objects after their last return: p50 {half:.2}, p99 {most:.2} ms");
     }
 }
 
@@ -470,7 +477,11 @@ impl OtherWork {
         let cores = thread::available_parallelism().map_or(0, usize::from);
         let mut chrt = Command::new("chrt");
         chrt.args(["--idle", "0", "sh", "-c", "while :; do :; done"]);
-        Self((0..cores).flat_map(|_| chrt.spawn()).collect())
+        let mut work = Self(Vec::new());
+        for _ in 0..cores {
+            work.0.push(chrt.spawn().expect("chrt, of util-linux"));
+        }
+        work
     }
 }
 
@@ -503,11 +514,7 @@ impl Load {
             self.daemon,
             self.receiver
         );
-        let delays_ms = sorted(self.delays_ms.into_iter());
-        if !delays_ms.is_empty() {
-            let [half, most] = [0.5, 0.99].map(|part| at(&delays_ms, part));
-            println!("  objects after their last return: p50 {half:.2}, p99 {most:.2} ms");
-        }
+        print_delays(&sorted(self.delays_ms.into_iter()));
         for note in self.notes {
             println!("  {note}");
         }
