@@ -392,6 +392,36 @@ fn a_consumer_waits_for_the_daemon() {
 
 /// Everything under the root is deleted while both sides live: the daemon makes its service again,
 /// and the consumer, who is told nothing, finds it.
+/// The umask of a process, which all its threads have.
+fn umask(process: u32) -> String {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
+    let line = status.lines().find(|line| line.starts_with("Umask:"));
+    line.unwrap().to_owned()
+}
+
+#[test]
+fn consumers_that_come_at_once_leave_the_umask_as_it_was() {
+    let own = temp_domain();
+    let _loans = loans(&own, 8);
+    std::thread::scope(|scope| {
+        for _ in 0..4 {
+            scope.spawn(|| {
+                for _ in 0..50 {
+                    let mut client = Client::within(&own.domain(), "roof").unwrap();
+                    // It may have to wait for a file that another one is making.
+                    let _ = client.next(Duration::from_millis(1));
+                }
+            });
+        }
+    });
+    // It is another one while a consumer of another test comes.
+    let asked = Instant::now();
+    while umask(std::process::id()) != umask(std::os::unix::process::parent_id()) {
+        assert!(asked.elapsed() < SOON, "{}", umask(std::process::id()));
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
 #[test]
 fn files_that_vanish_are_made_again_and_found_again() {
     let own = temp_domain();

@@ -3,7 +3,7 @@
 
 use std::fmt::Display;
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use iceoryx2::port::ReceiveError;
@@ -36,6 +36,10 @@ const LEAST: Duration = Duration::from_micros(100);
 const SEEK_EVERY: Duration = Duration::from_millis(50);
 /// How long to wait for places of dead consumers: the publisher cleans up after them each second.
 const FULL_FOR: Duration = Duration::from_secs(2);
+
+/// Held while a listener is made: iceoryx2 0.10 then sets the umask of the process and puts back the one
+/// that it found. If two threads did so at once, the second would put back that of the first, for good.
+static BINDING: Mutex<()> = Mutex::new(());
 
 /// Why no sweeps can be had.
 #[derive(Debug, thiserror::Error)]
@@ -412,10 +416,11 @@ impl Subscriber {
             Err(EventOpenError::Interrupt) => return Ok(Found::Interrupted),
             Err(_) => return Ok(Found::Nothing),
         };
-        let listener = event
-            .listener_builder()
-            .create()
-            .map_err(SubscribeError::service)?;
+        let listener = {
+            let _alone = BINDING.lock().unwrap_or_else(PoisonError::into_inner);
+            event.listener_builder().create()
+        };
+        let listener = listener.map_err(SubscribeError::service)?;
         let samples = service
             .subscriber_builder()
             .create()
