@@ -230,7 +230,10 @@ fn mount(sensor: &SensorConfig) -> String {
         Some(height) => format!("{height} m above ground"),
         None => "height estimated".to_owned(),
     };
-    format!("x {x}, y {y}, z {z} m; roll {roll}, pitch {pitch}, yaw {yaw} degrees; {height}")
+    let climb_m = config.segment.climb_m;
+    format!(
+        "x {x}, y {y}, z {z} m; roll {roll}, pitch {pitch}, yaw {yaw} degrees; {height}; climbs {climb_m} m"
+    )
 }
 
 fn segments(sensor: &SensorConfig) -> String {

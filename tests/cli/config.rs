@@ -20,7 +20,7 @@ port = 2369
 model = "vlp16"
 returns = "single"
 cut_azimuth_deg = 90
-mount = { z_m = 1.5, pitch_deg = -3, height_m = 1.2 }
+mount = { z_m = 1.5, pitch_deg = -3, height_m = 1.2, climb_m = 0.05 }
 [record]
 path = "drive.pcap"
 rotate_mb = 500
@@ -56,14 +56,14 @@ fn check_says_what_will_run_and_what_memory_it_takes() {
         "model          HDL-64E S3; calibration told by its packets; two returns, nearest segmented",
         "model          VLP-16; calibration of the model; one return, nearest segmented",
         "cut            at 90 degrees",
-        "mount          x 0, y 0, z 1.5 m; roll 0, pitch -3, yaw 0 degrees; 1.2 m above ground",
+        "mount          x 0, y 0, z 1.5 m; roll 0, pitch -3, yaw 0 degrees; 1.2 m above ground; climbs 0.05 m",
         "segments       method slope, 10 points at least, 0 to 80 m",
         "service        sweepd/rear/sweep, 4 consumers at most",
         "settings       model = \"hdl64e-s3\"\n                 returns = \"dual\"\n                 max_consumers = 2\n                 \
          segment.max_range_m = 80\n",
         "settings       port = 2369\n",
         "                 cut_azimuth_deg = 90\n                 mount.z_m = 1.5\n                 mount.height_m = 1.2\n                 \
-         mount.pitch_deg = -3\n",
+         mount.pitch_deg = -3\n                 mount.climb_m = 0.05\n",
         "health         off",
         &recording,
     ] {
@@ -130,7 +130,7 @@ fn check_says_the_same_to_programs() {
         ("service", json!("sweepd/rear/sweep")),
         (
             "mount",
-            json!({"x_m": 0.0, "y_m": 0.0, "z_m": 1.5, "roll_deg": 0.0, "pitch_deg": -3.0, "yaw_deg": 0.0, "height_m": 1.2}),
+            json!({"x_m": 0.0, "y_m": 0.0, "z_m": 1.5, "roll_deg": 0.0, "pitch_deg": -3.0, "yaw_deg": 0.0, "height_m": 1.2, "climb_m": 0.05}),
         ),
     ] {
         assert_eq!(rear[key], value, "{key}");

@@ -123,6 +123,7 @@ impl Scene {
                 small_area_m2: [0.0, 0.1, 10.0][rng.usize(..3)],
                 small_reach_m: 0.4 * rng.f32(),
             },
+            climb_m: [0.02, 0.05, 0.11, 0.2][rng.usize(..4)],
             ..Config::default()
         }
     }
@@ -1006,7 +1007,7 @@ fn the_height_of_a_car_is_seen() {
 #[cfg_attr(without_captures, ignore = "no captures")]
 fn fast_is_naive_on_real_scans() {
     let data = common::data_dir();
-    for scan in ["00/000000", "08/000009"] {
+    for (scan, climb_m) in [("00/000000", 0.2), ("08/000009", 0.2), ("08/000009", 0.05)] {
         let bytes = std::fs::read(data.join(format!("labelled/semantickitti/{scan}.bin"))).unwrap();
         let mut projector = CloudProjector::new(COLUMNS).unwrap();
         let mut sweep = projector.project(&points(&bytes).unwrap()).unwrap();
@@ -1016,6 +1017,7 @@ fn fast_is_naive_on_real_scans() {
         };
         let config = Config {
             mount,
+            climb_m,
             ..Config::default()
         };
         label_of(&mut sweep, &config);

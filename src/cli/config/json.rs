@@ -54,6 +54,7 @@ struct MountReport {
     pitch_deg: f64,
     yaw_deg: f64,
     height_m: Option<f64>,
+    climb_m: f64,
 }
 
 /// Where packets are recorded.
@@ -126,6 +127,7 @@ impl<'a> CheckedSensor<'a> {
                 pitch_deg: degrees(mount.pitch_rad),
                 yaw_deg: degrees(config.yaw_rad),
                 height_m: mount.height_m.map(|metres| rounded(f64::from(metres))),
+                climb_m: rounded(f64::from(config.segment.climb_m)),
             },
             want: &sensor.want,
             max_consumers: sensor.max_consumers,

@@ -201,7 +201,8 @@ table! {
 table! {
     ///
     /// How it sits on the robot: from the robot's origin, x right, y forward, z up; roll right side down (180 is head
-    /// down), pitch nose up, yaw counter-clockwise from above; height above the ground, by default estimated.
+    /// down), pitch nose up, yaw counter-clockwise from above; height above the ground, by default estimated. climb_m is the height of
+    /// a step that the wheels climb: a steep face that rises more is an object.
     MOUNT: SensorConfig, "mount" "[sensor.mount]"
 
     x_m = 0, Number(POSITION_M, "metres", metres) [pipeline.position_m[0]], Reload<"x_m, y_m, z_m" [pipeline.position_m]> position;
@@ -211,6 +212,7 @@ table! {
     pitch_deg = 0, Segmenter() [];
     yaw_deg = 0, Number(TURN_DEG, "degrees", radians) [pipeline.yaw_rad], Reload degrees;
     height_m = 1.9, Segmenter() [];
+    climb_m = 0.2, Segmenter() [];
 }
 
 table! {

@@ -10,8 +10,8 @@
 use fearless_simd::{Simd, prelude::*};
 
 use super::ground::{
-    AWAY_STEPS, FLAT_SHIFT, HEIGHT_STEPS, MAX_FOOT, MAX_KERB, MAX_LEAN, MAX_RISE, MAX_STEP,
-    MAX_TOP, MIN_RISE, NEAR, PLATEAU, STEEP,
+    AWAY_STEPS, FLAT_SHIFT, HEIGHT_STEPS, LEAST_STEP, MAX_FOOT, MAX_LEAN, MAX_RISE, MAX_STEP,
+    MAX_TOP, MIN_RISE, NEAR, PLATEAU, RAMP_SHIFT, STEEP, height,
 };
 use super::order::{MAX_ROWS, STRIP, Words, lane_read, push};
 use super::points::{Beams, Profile};
@@ -23,6 +23,8 @@ pub(super) struct Climb {
     /// Height of the sensor over the ground, metres; `None` while it is unknown: then nothing is
     /// ground.
     pub height_m: Option<f32>,
+    /// What the robot climbs.
+    pub kerb: Kerb,
     /// Which columns of a row are ground.
     pub ground: [Words; MAX_ROWS],
     /// The columns that were read, row by row.
@@ -35,6 +37,7 @@ impl Default for Climb {
     fn default() -> Self {
         Self {
             height_m: None,
+            kerb: Kerb::new(0.2),
             ground: [[0; 3]; MAX_ROWS],
             spots: Box::new([Spots::default(); MAX_ROWS]),
             found: Box::new([ClimbedRow::default(); MAX_ROWS]),
@@ -118,7 +121,7 @@ impl Climb {
     ) {
         for first in (0..STRIP).step_by(2 * S::i16s::LEN) {
             // Side by side, as above.
-            let mut climbers = [Climber::new(simd); 2];
+            let mut climbers = [Climber::new(simd, self.kerb); 2];
             for &row in upwards {
                 if is_empty::<S>(ranges.read[row], first) {
                     continue;
@@ -126,10 +129,12 @@ impl Climb {
                 for (side, climber) in climbers.iter_mut().enumerate() {
                     let first = first + side * S::i16s::LEN;
                     let real = is_real(simd, ranges, row, first);
-                    let face = S::mask16s::from_bitmask(simd, faces[row] >> first);
-                    let here = self.spots[row].load(simd, first);
-                    let step = climber.step(here, real, face);
                     let found = &mut self.found[row];
+                    let face = S::mask16s::from_bitmask(simd, faces[row] >> first);
+                    let feet = faces[row] & !found.steep;
+                    let foot = S::mask16s::from_bitmask(simd, feet >> first);
+                    let here = self.spots[row].load(simd, first);
+                    let step = climber.step(here, real, face, foot);
                     found.sure |= step.sure.to_bitmask() << first;
                     found.doubt |= step.doubt.to_bitmask() << first;
                     found.low |= step.low.to_bitmask() << first;
@@ -291,6 +296,31 @@ impl<S: Simd> Spot<S> {
     }
 }
 
+/// The highest kerb that a robot climbs, in steps of a height.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Kerb {
+    /// Highest face of a kerb.
+    face: i16,
+    /// Highest rise that is steeper than a ramp.
+    rise: i16,
+}
+
+impl Kerb {
+    /// Of a robot that climbs so much, metres.
+    pub fn new(climb_m: f32) -> Self {
+        let face = height(climb_m);
+        let rise = (face + face / 2).max(LEAST_STEP);
+        Self { face, rise }
+    }
+
+    /// Whether a return is on a higher step.
+    #[inline(always)]
+    fn is_exceeded<S: Simd>(self, rise: S::i16s, ahead: S::i16s, face: S::mask16s) -> S::mask16s {
+        let ramp: S::i16s = ahead - (ahead >> RAMP_SHIFT);
+        face & rise.simd_gt(self.face) | rise.simd_gt(self.rise) & rise.simd_gt(ramp)
+    }
+}
+
 /// The climb of as many columns as a vector has lanes.
 #[derive(Clone, Copy)]
 struct Climber<S: Simd> {
@@ -304,6 +334,7 @@ struct Climber<S: Simd> {
     waits: S::mask16s,
     /// Whether the edge lies on a face that is no kerb.
     on_object: S::mask16s,
+    kerb: Kerb,
 }
 
 /// What a return is found to be, and what it says of those that wait: see [`ClimbedRow`].
@@ -318,19 +349,26 @@ struct Step<S: Simd> {
 
 impl<S: Simd> Climber<S> {
     #[inline(always)]
-    fn new(simd: S) -> Self {
+    fn new(simd: S, kerb: Kerb) -> Self {
         Self {
             foothold: Spot::below_sensor(simd),
             edge: Spot::below_sensor(simd),
             start_away: S::i16s::splat(simd, 0),
             waits: S::mask16s::splat(simd, false),
             on_object: S::mask16s::splat(simd, false),
+            kerb,
         }
     }
 
-    /// Takes the next row up.
+    /// Takes the next row up; `foot` is where a face begins.
     #[inline(always)]
-    fn step(&mut self, here: Spot<S>, real: S::mask16s, face: S::mask16s) -> Step<S> {
+    fn step(
+        &mut self,
+        here: Spot<S>,
+        real: S::mask16s,
+        face: S::mask16s,
+        foot: S::mask16s,
+    ) -> Step<S> {
         let rise = here.height.saturating_sub(self.foothold.height);
         let ahead: S::i16s = here.away - self.foothold.away;
 
@@ -354,23 +392,26 @@ impl<S: Simd> Climber<S> {
         let stands_apart = ahead.simd_ge(NEAR) & self.foothold.away.simd_gt(0);
         let too_high = stands_apart & rise.simd_ge(MAX_RISE / 2);
         let gentle = rise.simd_lt(ahead.min(MAX_RISE).max(MIN_RISE));
-        let walkable = falls_little & !face & gentle & !too_high;
+        let is_step = self.kerb.is_exceeded::<S>(rise, ahead, face);
+        let walkable = falls_little & !face & gentle & !too_high & !is_step;
         let flat = walkable & rise.simd_le((ahead >> FLAT_SHIFT).max(MIN_RISE));
         let doubt = walkable & !flat;
         let sure = flat | falls_little & face & rise.simd_le(MAX_FOOT);
         let is_up = rise.simd_gt(0);
-        let is_kerb = rise.simd_le(MAX_RISE) & !(face & rise.simd_gt(MAX_KERB));
-        let low = rest & !sure & !doubt & is_up & is_kerb & ahead.simd_gt(-MAX_LEAN);
+        let is_low = rise.simd_le(MAX_RISE);
+        let low = rest & !sure & !doubt & is_up & is_low & !is_step & ahead.simd_gt(-MAX_LEAN);
         let object = rest & !sure & !doubt & !low;
 
         let starts = object | (doubt | low) & !waits;
-        // Noise lifts no foothold: else dense rows would climb a bank by what is flat for each.
-        let moves = goes_on | flat & rise.simd_le(ahead.max(0));
+        // Noise lifts no foothold: else dense rows would climb a bank by what is flat for each. The
+        // foot of a face lowers it: what stands below a ramp or a step is held against its own foot.
+        let is_lower = sure & foot & rise.simd_lt(0);
+        let moves = goes_on | flat & rise.simd_le(ahead.max(0)) | is_lower;
         self.start_away = starts.select(here.away, self.start_away);
         self.edge = here.or(self.edge, real & !sure);
         self.foothold = here.or(self.foothold, moves);
         self.waits = waits & !rest | doubt | low;
-        self.on_object = self.on_object & !rest | object & face & is_up;
+        self.on_object = self.on_object & !rest | object & is_up & (face | is_step & is_low);
         Step {
             sure: sure | goes_on,
             doubt,
@@ -398,9 +439,9 @@ mod tests {
     use crate::sweep::{Shape, SweepMut};
 
     /// A word, bit r for row r, of the ground in a column of points: distance and height from a
-    /// sensor this high over the ground. It is put into several columns of a strip, and seen with
-    /// the sensor upright and head down, level and tilted.
-    fn climbed(level: Level, sensor_m: f32, column: &[(f64, f64)]) -> u32 {
+    /// sensor this high over the ground, on a robot that climbs so much. It is put into several
+    /// columns of a strip, and seen with the sensor upright and head down, level and tilted.
+    fn climbed(level: Level, sensor_m: f32, climb_m: f32, column: &[(f64, f64)]) -> u32 {
         let mut found = Vec::new();
         for (tilt, roll_rad) in [(0.0, 0.0), (0.1_f64, 0.0), (0.0, PI), (0.1, PI)] {
             // Head down, the highest row over the ground is the last, and all rows look the other way.
@@ -438,6 +479,7 @@ mod tests {
             };
             let mut climb = Climb {
                 height_m: Some(sensor_m),
+                kerb: Kerb::new(climb_m),
                 ..Climb::default()
             };
             let sweep = sweep.as_ref();
@@ -468,10 +510,10 @@ mod tests {
         here >> AHEAD | ahead << (STRIP - AHEAD)
     }
 
-    fn find_from(sensor_m: f32, column: &[(f64, f64)]) -> u32 {
+    fn find_from(sensor_m: f32, climb_m: f32, column: &[(f64, f64)]) -> u32 {
         let mut found: Vec<u32> = levels()
             .into_iter()
-            .map(|level| climbed(level, sensor_m, column))
+            .map(|level| climbed(level, sensor_m, climb_m, column))
             .collect();
         found.dedup();
         assert_eq!(found.len(), 1, "{found:?}");
@@ -480,16 +522,21 @@ mod tests {
 
     /// With a sensor 1.7 m up.
     fn find(column: &[(f64, f64)]) -> u32 {
-        find_from(1.7, column)
+        find_from(1.7, 0.2, column)
     }
 
     /// With a sensor 0.4 m up; heights are over the ground.
     fn find_low(column: &[(f64, f64)]) -> u32 {
+        find_climbing(0.2, column)
+    }
+
+    /// The same on a robot that climbs so much.
+    fn find_climbing(climb_m: f32, column: &[(f64, f64)]) -> u32 {
         let column: Vec<(f64, f64)> = column
             .iter()
             .map(|&(away_m, up_m)| (away_m, up_m - 0.4))
             .collect();
-        find_from(0.4, &column)
+        find_from(0.4, climb_m, &column)
     }
 
     /// Top row first: road, a car on it, and road behind the car.
@@ -627,6 +674,23 @@ mod tests {
         assert_eq!(find_low(&column), 0b111_0011);
     }
 
+    /// A kerb of 0.12 m is an object to a robot that climbs 0.05 m, with 1.5 m of its pavement. One
+    /// of 0.04 m is none.
+    #[test]
+    fn a_face_higher_than_the_robot_climbs_is_an_object() {
+        let kerb = |scale: f64| -> Vec<(f64, f64)> {
+            let pavement = [(5.34, 0.12), (3.2, 0.12), (2.28, 0.12)];
+            let face = [(2.0, 0.083), (2.0, 0.011), (1.733, 0.0), (1.493, 0.0)];
+            let column = pavement.into_iter().chain(face);
+            column
+                .map(|(away_m, up_m)| (away_m, up_m * scale))
+                .collect()
+        };
+        assert_eq!(find_climbing(0.05, &kerb(1.0)), 0b111_0001);
+        assert_eq!(find_climbing(0.05, &kerb(0.33)), 0b111_1111);
+        assert_eq!(find_climbing(0.12, &kerb(1.0)), 0b111_1111);
+    }
+
     /// Ramps of 1:12 and 15 % from 2 m on.
     #[test]
     fn a_ramp_is_ground() {
@@ -666,6 +730,33 @@ mod tests {
             (2.058, 0.0),
         ];
         assert_eq!(find_low(&column), 0b1_1111);
+    }
+
+    /// The floor is 0.25 m lower from 2 m on, and a box 0.3 m high stands there. The first return on
+    /// the lower floor is the foot of the box.
+    #[test]
+    fn a_box_on_lower_ground_is_an_object_down_to_its_foot() {
+        let face = [(3.0, 0.04), (3.0, -0.03), (3.0, -0.1), (3.0, -0.17)];
+        let floor = [(3.0, -0.24), (1.9, 0.0), (1.7, 0.0)];
+        let column: Vec<(f64, f64)> = [(6.0, -0.25)]
+            .into_iter()
+            .chain(face)
+            .chain(floor)
+            .collect();
+        assert_eq!(find_low(&column), 0b1110_0001);
+    }
+
+    /// A road 0.12 m lower than both its pavements, of which only the foot of the far kerb is seen.
+    #[test]
+    fn the_far_pavement_of_a_road_is_ground() {
+        let pavement = [(6.0, 0.0), (4.2, 0.0), (3.1, 0.0)];
+        let kerb = [(3.0, -0.04), (3.0, -0.11)];
+        let column: Vec<(f64, f64)> = pavement
+            .into_iter()
+            .chain(kerb)
+            .chain([(1.9, 0.0)])
+            .collect();
+        assert_eq!(find_low(&column), 0b11_1111);
     }
 
     /// The only row that meets a low box rises less than a kerb is high, but comes down again.

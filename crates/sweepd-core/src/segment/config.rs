@@ -1,6 +1,7 @@
 //! The configuration of a segmenter, and its limits.
 
 use std::f32::consts::FRAC_PI_2;
+use std::ops::RangeInclusive;
 
 use super::joining::{Joining, MAX_GAP_M};
 use super::mask::Mask;
@@ -19,6 +20,10 @@ pub enum Method {
     Paper,
 }
 
+/// Heights that [`Config::climb_m`] may have, metres. Less is the noise of a foot, and a face that
+/// rises more is no kerb to any robot.
+pub const CLIMB_M: RangeInclusive<f64> = 0.02..=0.2;
+
 /// The configuration of a [`Segmenter`](super::Segmenter).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Config {
@@ -35,6 +40,9 @@ pub struct Config {
     pub min_points: u32,
     /// How the sensor sits on the robot.
     pub mount: Mount,
+    /// Height of a step that the wheels climb, metres: by [`Method::Slope`], a steep face that rises
+    /// more over the ground is an object.
+    pub climb_m: f32,
     /// Returns nearer than this are not labelled, metres.
     pub min_range_m: f32,
     /// Returns further than this are not labelled, metres.
@@ -52,6 +60,7 @@ impl Default for Config {
             paper: PaperGround::default(),
             min_points: 10,
             mount: Mount::default(),
+            climb_m: *CLIMB_M.end() as f32,
             min_range_m: 0.0,
             max_range_m: f32::INFINITY,
             mask: None,
@@ -90,6 +99,12 @@ pub enum ConfigError {
         /// Metres.
         most_m: f32,
     },
+    /// What the robot climbs.
+    #[error("the robot climbs {found_m} m, expected {} to {} m", CLIMB_M.start(), CLIMB_M.end())]
+    Climb {
+        /// Metres.
+        found_m: f32,
+    },
     /// The mounting height.
     #[error("the sensor is mounted {found_m} m above the ground, expected more than 0")]
     Height {
@@ -118,6 +133,12 @@ impl Config {
             return Err(ConfigError::Gap {
                 least_m: self.joining.min_gap_m,
                 most_m: self.joining.max_gap_m,
+            });
+        }
+        let [least_m, most_m] = [*CLIMB_M.start() as f32, *CLIMB_M.end() as f32];
+        if !(least_m..=most_m).contains(&self.climb_m) {
+            return Err(ConfigError::Climb {
+                found_m: self.climb_m,
             });
         }
         match self.mount.height_m {

@@ -12,8 +12,9 @@
 //! the column comes down again first: a box. Where the column shows neither, what is in doubt is
 //! ground, and what is low is an object.
 //!
-//! Returns that rise steeply over the one below them are a *face*. A face as low as a kerb is low,
-//! and a higher one is an object, with what goes on level on top of it.
+//! Returns that rise steeply over the one below them are a *face*. A face that the robot climbs is
+//! low, and a higher one is an object, with what goes on level on top of it. Where the foot of a face
+//! lies lower than the foothold, below a ramp or a step, the face starts from there.
 //!
 //! So the climb needs the sensor's height, and holds for sparse sensors, whose first ground return
 //! is metres out. Columns do not look at each other while they climb; in the `vote` they do.
@@ -37,7 +38,7 @@ const fn away(metres: f32) -> i16 {
 }
 
 /// A height in steps.
-const fn height(metres: f32) -> i16 {
+pub(super) const fn height(metres: f32) -> i16 {
     (metres * HEIGHT_STEPS + 0.5) as i16
 }
 
@@ -57,8 +58,10 @@ pub(super) const MAX_STEP: i16 = height(0.05);
 pub(super) const MAX_LEAN: i16 = away(0.05);
 /// Of a face, what is no higher than this over the foothold is ground.
 pub(super) const MAX_FOOT: i16 = height(0.02);
-/// Highest kerb.
-pub(super) const MAX_KERB: i16 = height(0.2);
+/// What rises no more is no step, if it is no face.
+pub(super) const LEAST_STEP: i16 = height(0.1);
+/// A ramp rises as the steepest way less that, halved so often: 15 %.
+pub(super) const RAMP_SHIFT: u32 = 2;
 /// How far the way has to go on level behind what waits. Lower boxes that are deeper than this are
 /// taken for kerbs.
 pub(super) const PLATEAU: i16 = away(1.0);

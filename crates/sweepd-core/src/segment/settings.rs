@@ -3,7 +3,7 @@
 
 use std::ops::RangeInclusive;
 
-use super::config::Config;
+use super::config::{CLIMB_M, Config};
 
 /// Angles that a beta test can have, degrees; the ends are none.
 pub const THETA_DEG: RangeInclusive<f64> = 0.0..=90.0;
@@ -128,6 +128,16 @@ pub const SETTINGS: &[Setting] = &[
         field: |config| Field::Angle(&mut config.mount.roll_rad),
     },
     Setting {
+        key: "climb_m",
+        table: Table::Mount,
+        option: "climb",
+        doc: "Height of a step that the robot's wheels climb, metres; a steep face that rises more is an object",
+        unit: Unit::Metres,
+        range: CLIMB_M,
+        absent: "",
+        field: |config| Field::Number(&mut config.climb_m),
+    },
+    Setting {
         key: "min_range_m",
         table: Table::Segment,
         option: "min-range",
@@ -169,12 +179,13 @@ pub const REMOVED: &[Removed] = &[
     Removed::new("small_points", "small-points", SMALL),
     Removed::new("small_reach_m", "small-reach", SMALL),
     Removed::new("max_slope", "max-slope", GROUND),
-    Removed::new("max_kerb_m", "max-kerb", GROUND),
+    Removed::new("max_kerb_m", "max-kerb", KERB),
 ];
 
 const GAP: &str = "the gap is what 2 degrees span, 0.25 m at least and 0.65 m at most";
 const WINDOW: &str = "the window is chosen by the rows of the sensor";
 const SMALL: &str = "what is small is told by the area that it shows to the sensor";
+const KERB: &str = "`climb_m` of `[sensor.mount]`, or --climb, says what the wheels climb";
 const GROUND: &str =
     "the ground is told by what lies behind a rise; only `[sensor.mount]` must be right";
 

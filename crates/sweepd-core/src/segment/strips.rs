@@ -14,7 +14,7 @@
 use fearless_simd::{Level, Simd, dispatch, f32x16, mask32x16, prelude::*};
 
 use super::area::Areas;
-use super::climb::Climb;
+use super::climb::{Climb, Kerb};
 use super::components::{Components, Small};
 use super::config::Config;
 use super::joining;
@@ -99,6 +99,7 @@ impl Strips {
         // The first columns are there twice.
         let pixels = sweep.range.len() + rows * BEFORE;
         self.climb.height_m = height_m.filter(|_| config.mount.stance() != Stance::OnSide);
+        self.climb.kerb = Kerb::new(config.climb_m);
         self.at = 0;
         self.ready = ready;
         reserve(&mut self.depths_m, columns.next_multiple_of(STRIP));

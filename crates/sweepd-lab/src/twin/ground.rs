@@ -17,13 +17,13 @@ const NOISE: i32 = height_of(0.07);
 const FLAT: i32 = 40;
 /// The lowest part of a face is ground, up to this.
 const FOOT: i32 = height_of(0.02);
-/// A face that rises more is an object.
-const KERB: i32 = height_of(0.2);
-/// So is anything else that rises more.
+/// What rises more is an object.
 const HIGHEST: i32 = height_of(0.3);
 /// What rises more from a foothold as far before as this is not in doubt.
 const HIGHEST_FAR: i32 = height_of(0.15);
 const FAR: i32 = distance_of(3.0);
+/// What rises no more is no step, if it is no face.
+const LEAST_STEP: i32 = height_of(0.1);
 /// A fall of less is little however steep it is.
 const DEEPEST: i32 = height_of(0.3);
 /// What waits is less than this nearer to the plumb line than the foothold.
@@ -34,8 +34,8 @@ const PLATEAU: i32 = distance_of(1.0);
 const TOP: i32 = distance_of(1.5);
 
 /// Which pixels are ground by the climb of their columns, with the sensor this high over the
-/// ground, upright or head down.
-pub(super) fn climb(image: &Image, is_head_down: bool, height_m: f32) -> Vec<bool> {
+/// ground, upright or head down, on a robot that climbs so much.
+pub(super) fn climb(image: &Image, is_head_down: bool, height_m: f32, climb_m: f32) -> Vec<bool> {
     let mut is_ground = vec![false; image.returns.len()];
     for column in 0..image.columns {
         let mut spots = Vec::new();
@@ -52,9 +52,9 @@ pub(super) fn climb(image: &Image, is_head_down: bool, height_m: f32) -> Vec<boo
         if is_head_down {
             spots.reverse();
         }
-        let mut climb = Climb::new(&mut is_ground);
-        for (here, is_face) in spots.iter().zip(faces(&spots)) {
-            climb.take(*here, is_face);
+        let mut climb = Climb::new(height_of(climb_m), &mut is_ground);
+        for (here, part) in spots.iter().zip(parts(&spots)) {
+            climb.take(*here, part);
         }
         climb.settle(Verdict::Unknown);
     }
@@ -78,28 +78,43 @@ const BELOW_SENSOR: Spot = Spot {
     height: 0,
 };
 
-/// Which returns of a column belong to a face: what is steep over its foot, from the foot up to the
+/// What a return is of a face.
+#[derive(Clone, Copy, PartialEq)]
+enum Part {
+    Nothing,
+    /// What the rest is steep over.
+    Foot,
+    Rest,
+}
+
+/// What the returns of a column are of a face: what is steep over its foot, from the foot up to the
 /// last that is also high over it.
-fn faces(spots: &[Spot]) -> Vec<bool> {
-    let mut is_face = vec![false; spots.len()];
+fn parts(spots: &[Spot]) -> Vec<Part> {
+    let mut parts = vec![Part::Nothing; spots.len()];
     let mut foot = BELOW_SENSOR;
-    let mut foot_at = 0;
+    let mut foot_at = None;
     for (at, here) in spots.iter().enumerate() {
         let rise = fit(here.height - foot.height);
         let way = (here.away - foot.away).abs();
         let is_steep = fit(rise + STEP) > fit(UP * way);
         if !is_steep {
             foot = *here;
-            foot_at = at;
+            foot_at = Some(at);
         } else if rise > STEP {
-            is_face[foot_at..=at].fill(true);
+            parts[foot_at.unwrap_or(0)..=at].fill(Part::Rest);
+            // Below the sensor there is no return.
+            if let Some(foot_at) = foot_at {
+                parts[foot_at] = Part::Foot;
+            }
         }
     }
-    is_face
+    parts
 }
 
 /// The way up a column.
 struct Climb<'a> {
+    /// What the robot climbs.
+    climb: i32,
     /// The ground return that the way has come to.
     foothold: Spot,
     /// What the last return was part of.
@@ -129,8 +144,9 @@ enum Verdict {
 }
 
 impl<'a> Climb<'a> {
-    fn new(is_ground: &'a mut [bool]) -> Self {
+    fn new(climb: i32, is_ground: &'a mut [bool]) -> Self {
         Self {
+            climb,
             foothold: BELOW_SENSOR,
             stretch: None,
             waiting: Vec::new(),
@@ -139,7 +155,7 @@ impl<'a> Climb<'a> {
     }
 
     /// Takes the next return up.
-    fn take(&mut self, here: Spot, is_face: bool) {
+    fn take(&mut self, here: Spot, part: Part) {
         let rise = fit(here.height - self.foothold.height);
         if let Some(stretch) = self.stretch
             && (stretch.waits || here.away - stretch.start < TOP)
@@ -152,12 +168,12 @@ impl<'a> Climb<'a> {
                     true => Verdict::Object,
                     false => Verdict::Unknown,
                 });
-            } else if !is_face && apart < (here.away - stretch.edge.away).max(NOISE) {
+            } else if part == Part::Nothing && apart < (here.away - stretch.edge.away).max(NOISE) {
                 self.go_on_level(stretch, here);
                 return;
             }
         }
-        self.judge(here, rise, is_face);
+        self.judge(here, rise, part);
     }
 
     /// Takes a return that is level with the stretch before it.
@@ -178,21 +194,25 @@ impl<'a> Climb<'a> {
     }
 
     /// Holds a return against the foothold: ground, what waits, or an object.
-    fn judge(&mut self, here: Spot, rise: i32, is_face: bool) {
+    fn judge(&mut self, here: Spot, rise: i32, part: Part) {
+        let is_face = part != Part::Nothing;
         let way = here.away - self.foothold.away;
         let falls_little = rise > -way.abs().max(DEEPEST);
         let is_far = way >= FAR && self.foothold.away > 0;
         let highest = if is_far { HIGHEST_FAR } else { HIGHEST };
-        let is_gentle = falls_little && !is_face && rise < way.min(highest).max(NOISE);
+        let steep = (self.climb + self.climb / 2).max(LEAST_STEP);
+        let is_step =
+            is_face && rise > self.climb || rise > steep && rise > way - way.div_euclid(4);
+        let is_walkable = falls_little && !is_face && !is_step;
+        let is_gentle = is_walkable && rise < way.min(highest).max(NOISE);
         let is_flat = is_gentle && (rise <= NOISE || rise * FLAT <= way * UP);
         let is_foot = is_face && falls_little && rise <= FOOT;
-        let highest_low = if is_face { KERB } else { HIGHEST };
-        let is_low = rise > 0 && rise <= highest_low && way > -LEAN;
+        let is_low = rise > 0 && rise <= HIGHEST && !is_step && way > -LEAN;
         if is_flat || is_foot {
             self.settle(Verdict::Unknown);
             self.is_ground[here.pixel] = true;
-            // Noise lifts no foothold.
-            if is_flat && rise <= way.max(0) {
+            // Noise lifts no foothold, and a face on lower ground starts from its own foot.
+            if is_flat && rise <= way.max(0) || part == Part::Foot && rise < 0 {
                 self.foothold = here;
             }
         } else if is_gentle || is_low {
@@ -208,7 +228,7 @@ impl<'a> Climb<'a> {
             });
         } else {
             self.settle(Verdict::Unknown);
-            if is_face && rise > 0 {
+            if rise > 0 && (is_face || is_step && rise <= HIGHEST) {
                 self.stretch = Some(Stretch {
                     waits: false,
                     start: here.away,

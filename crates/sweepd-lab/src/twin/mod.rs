@@ -46,7 +46,7 @@ pub fn segment(sweep: &SweepRef<'_>, config: &Config, height_m: Option<f32>) -> 
     let plumb = Plumb::new(config);
     let is_ground = match height_m {
         Some(height_m) if plumb.stands() => {
-            let climbed = ground::climb(&image, plumb.is_head_down(), height_m);
+            let climbed = ground::climb(&image, plumb.is_head_down(), height_m, config.climb_m);
             vote::vote(&image, &climbed)
         }
         _ => vec![false; image.returns.len()],
