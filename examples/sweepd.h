@@ -69,6 +69,9 @@ extern "C" {
 #define SWEEPD_DARK_BELOW 4096u /* beams or a sector that look down to near ground do not return */
 #define SWEEPD_NOT_SEEING 0x1F00u /* all bits that say that the sensor does not see what it should */
 
+/* Properties of a segment, as bits of flags. */
+#define SWEEPD_SEGMENT_WIDE 1u /* wider than max_object_deg (60 degrees by default), or with the sensor inside its box */
+
 /* Which clock time_ns is in. */
 #define SWEEPD_TIME_HOST 0u /* the clock of the host or the capture */
 #define SWEEPD_TIME_GPS 1u /* UTC from GPS */
@@ -224,7 +227,8 @@ typedef struct sweepd_segment {
     uint16_t row_last;
     uint32_t column_first;
     uint32_t column_last;
-    uint32_t reserved_60;
+    uint16_t flags;
+    uint16_t reserved_62;
 } sweepd_segment;
 
 typedef struct sweepd_object {

@@ -30,7 +30,6 @@ use crate::sensor_settings::Settings;
 use crate::text::visible;
 use error::Problem;
 use sweepd_core::pipeline;
-use sweepd_core::segment::objects::MAX_WIDTH_RAD;
 use sweepd_core::sensor::{Calibration, Model};
 
 /// Longest file that is read as a configuration, bytes.
@@ -154,8 +153,8 @@ pub struct SensorConfig {
     pub position_port: u16,
     /// Consumers at most.
     pub max_consumers: usize,
-    /// How its objects are told while the head turns.
-    pub objects: ObjectsConfig,
+    /// How long an object that is complete may wait for more, nanoseconds.
+    pub objects_every_ns: i64,
     /// Whether it may send two returns, which double the planes; `None` when that is told by its
     /// packets.
     pub dual: Option<bool>,
@@ -178,29 +177,11 @@ impl Default for SensorConfig {
             // Where a Velodyne sends to unless it is told another.
             position_port: 8308,
             max_consumers: 4,
-            objects: ObjectsConfig::default(),
+            objects_every_ns: 5_000_000,
             dual: None,
             want: Settings::default(),
             losses: Limits::default(),
             pipeline: pipeline::Config::default(),
-        }
-    }
-}
-
-/// How objects are sent while the head turns.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ObjectsConfig {
-    /// How long an object that is complete may wait for more, nanoseconds.
-    pub every_ns: i64,
-    /// Wider objects come in parts, radians.
-    pub max_width_rad: f32,
-}
-
-impl Default for ObjectsConfig {
-    fn default() -> Self {
-        Self {
-            every_ns: 5_000_000,
-            max_width_rad: MAX_WIDTH_RAD,
         }
     }
 }

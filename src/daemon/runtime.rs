@@ -368,7 +368,7 @@ impl<'a, B: Buffers<Buffer: Outgoing>> Startup<'a, B> {
             sensor: config.name.clone(),
             source,
         })?;
-        let sensor = sensor.with_objects(config.objects, shared.objects);
+        let sensor = sensor.with_objects(config.objects_every_ns, shared.objects);
         let (queue, positions) = mpsc::sync_channel(POSITION_QUEUE_LEN);
         let (reconfigure, reconfigurations) = mpsc::channel();
         self.queues.push(queue);

@@ -5,7 +5,6 @@ use std::iter;
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
 
-use super::config::ObjectsConfig;
 use super::counters::{Gps, SensorCounters, Stage};
 use super::nap::Due;
 use super::sharing::{ObjectsOutput, Outgoing};
@@ -72,7 +71,7 @@ pub struct Sensor<B: Buffers> {
     /// (CLOCK_MONOTONIC).
     held: Option<(B::Buffer, i64)>,
     objects: Option<Box<dyn ObjectsOutput>>,
-    objects_config: ObjectsConfig,
+    objects_every_ns: i64,
     finds_objects: bool,
     floor: FloorFinder,
     /// What was reported of the floor.
@@ -130,7 +129,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
             is_shared: true,
             held: None,
             objects: None,
-            objects_config: ObjectsConfig::default(),
+            objects_every_ns: 0,
             finds_objects: false,
             floor,
             told_floor: Sight::Unknown,
@@ -138,14 +137,10 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         })
     }
 
-    /// Sends its objects there, where somebody wants them.
+    /// Sends its objects there, where somebody wants them; one that is complete may wait so long for more, nanoseconds.
     #[must_use]
-    pub fn with_objects(
-        mut self,
-        config: ObjectsConfig,
-        objects: Option<Box<dyn ObjectsOutput>>,
-    ) -> Self {
-        self.objects_config = config;
+    pub fn with_objects(mut self, every_ns: i64, objects: Option<Box<dyn ObjectsOutput>>) -> Self {
+        self.objects_every_ns = every_ns;
         self.objects = objects;
         self
     }
@@ -169,9 +164,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         let sweep_ns = self.pipeline.next_due_ns(None)?;
         let mut objects_ns = None;
         if self.finds_objects {
-            let due_ns = self
-                .pipeline
-                .next_due_ns(Some(self.objects_config.every_ns))?;
+            let due_ns = self.pipeline.next_due_ns(Some(self.objects_every_ns))?;
             objects_ns = Some(due_ns).filter(|due_ns| *due_ns < sweep_ns);
         }
         Some(Due {
@@ -221,8 +214,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     pub fn idle(&mut self, now_ns: Option<i64>, dropped: u64) {
         if !self.finds_objects && self.has_listeners() {
             self.finds_objects = true;
-            let max_width_rad = self.objects_config.max_width_rad;
-            self.pipeline.find_objects(Some(max_width_rad));
+            self.pipeline.find_objects(true);
         }
         self.pipeline.idle(now_ns);
         self.send_events(dropped);
@@ -304,7 +296,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
                     // objects again.
                     if is_last && !self.has_listeners() {
                         self.finds_objects = false;
-                        self.pipeline.find_objects(None);
+                        self.pipeline.find_objects(false);
                     }
                 }
                 pipeline::Event::Notice(notice) => self.report(Event::Notice(notice)),

@@ -4,9 +4,9 @@ use std::cmp::Reverse;
 
 use sweepd::buffers::{HeapBuffer, HeapBuffers, Memory};
 use sweepd::pipeline::{Event, Fault, Pipeline};
-use sweepd::sweep::SweepRef;
-use sweepd::sweep::layout::flags;
+use sweepd::sweep::layout::{flags, segment_flags};
 use sweepd::sweep::objects::{self, NewObjects, Object, why};
+use sweepd::sweep::{Segment, SweepRef};
 
 /// How much of what was told was what.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -20,6 +20,8 @@ pub struct Tally {
     pub around_cut: usize,
     /// Objects that a late packet has changed.
     pub void: usize,
+    /// Segments of the table with the sensor inside their boxes.
+    pub around_sensor: usize,
 }
 
 impl std::ops::AddAssign for Tally {
@@ -29,6 +31,7 @@ impl std::ops::AddAssign for Tally {
         self.parts += other.parts;
         self.around_cut += other.around_cut;
         self.void += other.void;
+        self.around_sensor += other.around_sensor;
     }
 }
 
@@ -130,8 +133,17 @@ pub fn check(
     let seen = look(sweep);
     let mut times = vec![0; sweep.segments.len()];
     let mut points_in_parts = vec![0; sweep.segments.len()];
+    for segment in sweep.segments.iter().filter(|one| holds_sensor(one)) {
+        assert!(is_wide(segment), "{what}: {segment:?}");
+        tally.around_sensor += 1;
+    }
     for (ordinal, (object, &label)) in told.iter().zip(labels).enumerate() {
         assert_eq!(object.ordinal as usize, ordinal, "{what}");
+        let holds_sensor = holds_sensor(&object.segment);
+        // A part is never wide by its width.
+        let says_so =
+            is_wide(&object.segment) == holds_sensor || !holds_sensor && object.why != why::WIDE;
+        assert!(says_so, "{what}: {object:?}");
         // Measured in part in the turn before.
         if object.why == why::SEAM {
             tally.around_cut += 1;
@@ -211,6 +223,17 @@ pub fn check(
         );
     }
     tally
+}
+
+/// Whether the sensor is inside its box.
+fn holds_sensor(segment: &Segment) -> bool {
+    let [x, y, z] = [0, 1, 2].map(|axis| segment.min_m[axis]..=segment.max_m[axis]);
+    x.contains(&0.0) && y.contains(&0.0) && z.contains(&0.0)
+}
+
+/// Whether it says that its box says nothing of what is inside.
+pub fn is_wide(segment: &Segment) -> bool {
+    segment.flags == segment_flags::WIDE
 }
 
 fn look(sweep: &SweepRef<'_>) -> Vec<Seen> {

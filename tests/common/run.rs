@@ -8,7 +8,6 @@ use sweepd::buffers::HeapBuffer;
 use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::input::Capture;
 use sweepd::pipeline::{Config, Counts, Event, Fault, Notice, Options, Pipeline};
-use sweepd::segment::objects::MAX_WIDTH_RAD;
 use sweepd::sensor::detect::Detection;
 use sweepd::sensor::model::Spec;
 use sweepd::sensor::unit::Unit;
@@ -85,7 +84,7 @@ impl Runner {
     /// The same with a listener, which sees that objects are those of the sweeps.
     pub fn with_listener(config: Config) -> Self {
         let mut runner = Self::new(config);
-        runner.pipeline.find_objects(Some(MAX_WIDTH_RAD));
+        runner.pipeline.find_objects(true);
         runner.listener = Some(Listener::new("a runner"));
         runner
     }

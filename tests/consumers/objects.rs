@@ -9,7 +9,6 @@ use sweepd::buffers::{Buffers, HeapBuffers, Memory};
 use sweepd::client::{Client, ClientError, Next, ObjectsRef};
 use sweepd::pipeline::{Config, Event, Pipeline};
 use sweepd::publish::{Loans, Preamble, ServiceSettings, Topic};
-use sweepd::segment::objects::MAX_WIDTH_RAD;
 use sweepd::sensor::Model;
 use sweepd::sweep::layout::{LAYOUT_VERSION, LayoutError, TimeSource};
 use sweepd::sweep::objects::{self, MESSAGE_BYTES, Object, ObjectsHeader, Sending, flags, why};
@@ -39,7 +38,7 @@ pub fn messages() -> Vec<Vec<u64>> {
     let scene = fixtures::scene();
     let sensor = EmitterConfig::new(Model::Vlp16, ReturnMode::Strongest).turns(3.0);
     let mut pipeline = Pipeline::new("192.168.1.201:2368", Config::default()).unwrap();
-    pipeline.find_objects(Some(MAX_WIDTH_RAD));
+    pipeline.find_objects(true);
     let mut memory = Memory::new(HeapBuffers::default());
     let mut messages = Vec::new();
     for sent in Emitter::new(sensor, &scene).untold() {

@@ -1,6 +1,7 @@
 //! Objects while the head turns, through whole pipelines: each segment of each sweep once, with the
 //! figures of its table.
 
+use std::f32::consts::FRAC_PI_3;
 use std::path::{Path, PathBuf};
 
 use crate::common::data_dir_if_any;
@@ -9,7 +10,6 @@ use sweepd::admission::{DiscoveredSensors, Refused};
 use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::input::Capture;
 use sweepd::pipeline::{Config, Event, Pipeline};
-use sweepd::segment::objects::MAX_WIDTH_RAD;
 use sweepd::sensor::Model::{self, Hdl32e, Hdl64eS2, Hdl64eS3, Vlp16, Vlp32c, Vls128};
 use sweepd::sweep::objects::why;
 use sweepd::wire::Datagram;
@@ -27,7 +27,7 @@ struct Run {
 impl Run {
     fn new(config: Config, what: &str) -> Self {
         let mut pipeline = Pipeline::new("test", config).unwrap();
-        pipeline.find_objects(Some(MAX_WIDTH_RAD));
+        pipeline.find_objects(true);
         Self {
             pipeline,
             memory: Memory::new(HeapBuffers::default()),
@@ -98,8 +98,9 @@ fn told_with_cut(model: Model, cut_deg: f64, max_width_rad: f32) -> Vec<Seen> {
         ..Config::default()
     };
     config.segment.mount.height_m = Some(1.9);
+    config.segment.max_width_rad = max_width_rad;
     let mut pipeline = Pipeline::new("test", config).unwrap();
-    pipeline.find_objects(Some(max_width_rad));
+    pipeline.find_objects(true);
     let mut memory = Memory::new(HeapBuffers::default());
     let mut all = Vec::new();
     for sent in Emitter::new(sensor, &scene).untold() {
@@ -125,7 +126,7 @@ fn told_with_cut(model: Model, cut_deg: f64, max_width_rad: f32) -> Vec<Seen> {
 /// segments that lie across the cut are told.
 #[test]
 fn objects_around_the_cut_are_told_whole() {
-    let widths_rad = [5_f32.to_radians(), MAX_WIDTH_RAD, f32::INFINITY];
+    let widths_rad = [5_f32.to_radians(), FRAC_PI_3, f32::INFINITY];
     for model in [Vlp16, Hdl32e, Hdl64eS2, Vlp32c, Vls128] {
         let across: usize = widths_rad
             .map(|width| around_cut(model, width))
@@ -171,7 +172,7 @@ fn around_cut(model: Model, max_width_rad: f32) -> usize {
     );
     // Where rows are shifted, it may be by another column from turn to turn: then other returns
     // stand on each other, and some are ground in one turn alone. Parts are cut otherwise.
-    let has_parts = max_width_rad < MAX_WIDTH_RAD;
+    let has_parts = max_width_rad < FRAC_PI_3;
     assert!(
         has_parts || 15 * alike >= 14 * around.len(),
         "{model}: {alike}"
@@ -229,6 +230,8 @@ fn objects_of_captures_are_the_rows_of_their_tables() {
         }
     }
     assert!(all.early > all.with_sweep, "{all:?}");
+    let has_captures = data_dir_if_any().is_some();
+    assert!(!has_captures || all.around_sensor > 30, "{all:?}");
 }
 
 /// Every model on a street; with and without losses and late packets, looked at after each packet

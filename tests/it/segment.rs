@@ -1,20 +1,19 @@
 //! The fast segmentation against its naive twin, and what must be true of any labelled sweep.
 
 use crate::common;
-use crate::common::objects::check;
+use crate::common::objects::{check, is_wide};
 use std::collections::HashMap;
 use std::f32::consts::{PI, TAU};
 
 use proptest::prelude::*;
 use sweepd::assemble::levels;
 use sweepd::buffers::{Buffers, HeapBuffers};
-use sweepd::segment::objects::Objects;
 use sweepd::segment::placed;
 use sweepd::segment::{Config, ConfigError, Joining, Mask, Method, Mount, Segmenter, Stance};
 use sweepd::sensor::Beam;
 use sweepd::sensor::TwoPoint;
 use sweepd::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, flags, is_return};
-use sweepd::sweep::{Column, Shape, SweepMut, SweepRef};
+use sweepd::sweep::{Column, Segment, Shape, SweepMut, SweepRef};
 use sweepd_lab::cloud::{COLUMNS, CloudProjector, CloudSegmenter, points};
 use sweepd_lab::twin;
 use zerocopy::IntoBytes;
@@ -124,6 +123,7 @@ impl Scene {
                 small_reach_m: 0.4 * rng.f32(),
             },
             climb_m: [0.02, 0.05, 0.11, 0.2][rng.usize(..4)],
+            max_width_rad: 0.3 + 4.0 * rng.f32(),
             ..Config::default()
         }
     }
@@ -367,6 +367,47 @@ fn check_table(sweep: &SweepRef<'_>) {
     assert_eq!(sweep.header.ground, ground);
 }
 
+/// Segments are wide where the sensor is inside their boxes, or where they have pixels in more than
+/// so many degrees. Columns here are 1 / 1.2 of a turn's, but for gaps, so that a fifth more or less
+/// is left open.
+fn check_flags(sweep: &SweepRef<'_>, config: &Config) {
+    let columns = sweep.columns.len();
+    let pitch_rad = TAU / (1.2 * columns as f32);
+    for segment in sweep.segments {
+        let has_pixel = |column: usize| {
+            let first = column % columns * sweep.rows();
+            sweep.label[first..first + sweep.rows()].contains(&segment.label)
+        };
+        // Around a turn: all but the longest stretch of columns without its pixels.
+        let (mut hole, mut widest) = (0, 0);
+        for column in 0..2 * columns {
+            hole = if has_pixel(column) { 0 } else { hole + 1 };
+            widest = hole.max(widest);
+        }
+        let spanned = match sweep.header.has(flags::CIRCULAR) {
+            true => columns - widest,
+            false => {
+                let first = (0..columns).find(|column| has_pixel(*column));
+                let last = (0..columns).rfind(|column| has_pixel(*column));
+                last.unwrap() + 1 - first.unwrap()
+            }
+        };
+        let width_rad = spanned as f32 * pitch_rad;
+        let ends_m = segment.min_m.iter().zip(&segment.max_m);
+        let is_around = ends_m.clone().all(|(min_m, max_m)| min_m * max_m <= 0.0);
+        // Of a few columns, most may stand before gaps.
+        let is_near = columns < 16
+            || (width_rad / config.max_width_rad - 1.0).abs() < 0.2
+            || (width_rad - config.max_width_rad).abs() < 2.0 * pitch_rad;
+        let expected = is_around || width_rad > config.max_width_rad;
+        assert!(
+            is_wide(segment) == expected || is_near && !is_around,
+            "{width_rad} of {}: {segment:?}",
+            config.max_width_rad
+        );
+    }
+}
+
 /// Whether a pixel holds a return that may be labelled.
 fn is_real(sweep: &SweepRef<'_>, config: &Config, pixel: usize) -> bool {
     let row = pixel % sweep.rows();
@@ -605,7 +646,7 @@ proptest! {
         stops in proptest::collection::vec(0.0..1.0, 0..12),
     ) {
         let scene = Scene { circular: true, columns, rows: scene.rows.min(40), ..scene };
-        let config = scene.config(Method::Slope);
+        let config = Config { max_width_rad: width_rad, ..scene.config(Method::Slope) };
         let is_changed = stops.iter().any(|stop| *stop < 0.2);
         scene.with_sweep(0, |sweep| {
             for (index, column) in sweep.columns.iter_mut().enumerate() {
@@ -614,7 +655,7 @@ proptest! {
             label_of(sweep, &config);
             let whole = written(&sweep.as_ref());
             let mut segmenter = Segmenter::new(config).unwrap();
-            segmenter.find_objects(Some(Objects::new(width_rad)));
+            segmenter.find_objects(true);
             label_early(sweep, &mut segmenter, stops);
             prop_assert!(written(&sweep.as_ref()) == whole);
             let (first, told, labels) = segmenter.objects().unwrap().take();
@@ -631,6 +672,7 @@ proptest! {
             label_of(sweep, &config);
             let sweep = sweep.as_ref();
             check_table(&sweep);
+            check_flags(&sweep, &config);
             for (index, &label) in sweep.label.iter().enumerate() {
                 prop_assert!(is_return(sweep.range[index]) || label == LABEL_NONE);
                 prop_assert!(label < sweep.header.segments + LABEL_FIRST_SEGMENT);
@@ -784,7 +826,14 @@ fn a_gap_that_is_no_distance_is_refused() {
 
 /// Segments of boards before a sensor with rows of 0.4 degrees: how far away they stand, metres,
 /// and their columns and rows.
-fn segments_of(boards: &[(f32, std::ops::Range<usize>, std::ops::Range<usize>)]) -> u32 {
+fn segments_of(boards: &[Board]) -> u32 {
+    table_of(boards, &Config::default()).len() as u32
+}
+
+type Board = (f32, std::ops::Range<usize>, std::ops::Range<usize>);
+
+/// The table of these.
+fn table_of(boards: &[Board], config: &Config) -> Vec<Segment> {
     const COLUMNS: usize = 1800;
     let shape = Shape {
         rows: 32,
@@ -810,8 +859,62 @@ fn segments_of(boards: &[(f32, std::ops::Range<usize>, std::ops::Range<usize>)])
             }
         }
     }
-    label_of(&mut sweep, &Config::default());
-    sweep.header.segments
+    label_of(&mut sweep, config);
+    sweep.as_ref().segments.to_vec()
+}
+
+/// Columns of 0.2 degrees: 60 degrees are 300. Rows from 6.4 degrees up to 6 down.
+#[test]
+fn a_segment_is_wide_by_its_width_or_around_the_sensor() {
+    let wide_with = |boards: &[Board], max_deg: f32, method: Method| {
+        let config = Config {
+            method,
+            max_width_rad: max_deg.to_radians(),
+            ..Config::default()
+        };
+        let table = table_of(boards, &config);
+        assert_eq!(table.len(), 1, "{boards:?}, {method:?}");
+        is_wide(&table[0])
+    };
+    for method in [Method::Slope, Method::Paper] {
+        let wide = |boards: &[Board], max_deg: f32| wide_with(boards, max_deg, method);
+        // 59 and 61 degrees: in one piece, and across the seam.
+        assert!(!wide(&[(5.0, 200..495, 0..32)], 60.0));
+        assert!(wide(&[(5.0, 200..505, 0..32)], 60.0));
+        assert!(!wide(
+            &[(5.0, 1700..1800, 0..32), (5.0, 0..195, 0..32)],
+            60.0
+        ));
+        assert!(wide(
+            &[(5.0, 1700..1800, 0..32), (5.0, 0..205, 0..32)],
+            60.0
+        ));
+        // 120 degrees may not be wide, but these from 10 degrees left to 100 right have ends before
+        // the sensor and behind it, left and right.
+        let corner = |rows: std::ops::Range<usize>, last: usize| {
+            wide(
+                &[(5.0, 1750..1800, rows.clone()), (5.0, 0..last, rows)],
+                120.0,
+            )
+        };
+        assert!(corner(0..32, 500) && !corner(0..32, 400));
+        // As an arch: all of it is above the sensor.
+        assert!(!corner(0..10, 500));
+        // All around.
+        assert!(wide(&[(5.0, 0..1800, 0..32)], 300.0));
+    }
+}
+
+#[test]
+fn a_width_that_is_none_is_refused() {
+    for max_width_rad in [0.0, -1.0, f32::NAN] {
+        let config = Config {
+            max_width_rad,
+            ..Config::default()
+        };
+        let error = Segmenter::new(config).unwrap_err();
+        assert!(matches!(error, ConfigError::Width { .. }), "{error}");
+    }
 }
 
 /// A column is 0.2 degrees.

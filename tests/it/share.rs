@@ -12,7 +12,6 @@ use sweepd::buffers::{Buffers, HeapBuffers, Memory};
 use sweepd::client::{Client, ClientError, JoinError, Sweep};
 use sweepd::pipeline::{Config, Event, Pipeline};
 use sweepd::publish::{Domain, Loans, PublishError, ServiceSettings, Slot, Topic, pool_sweeps};
-use sweepd::segment::objects::MAX_WIDTH_RAD;
 use sweepd::sensor::Model;
 use sweepd::sweep::objects::{self, MESSAGE_BYTES, Object, Sending, flags};
 use sweepd::sweep::{Shape, SweepMut, SweepRef};
@@ -789,7 +788,7 @@ fn objects_come_as_they_were_told() {
     let scene = fixtures::scene();
     let sensor = EmitterConfig::new(Model::Vlp16, ReturnMode::Strongest).turns(3.0);
     let mut pipeline = Pipeline::new("192.168.1.201:2368", Config::default()).unwrap();
-    pipeline.find_objects(Some(MAX_WIDTH_RAD));
+    pipeline.find_objects(true);
     let mut memory = Memory::new(HeapBuffers::default());
     let (mut told, mut received): (Vec<Object>, Vec<Object>) = (Vec::new(), Vec::new());
     let (mut sweeps, mut messages) = (0, 0);

@@ -36,7 +36,6 @@ use crate::assemble::clock::Clocks;
 use crate::assemble::gps::{GpsTime, Heard};
 use crate::buffers::OpenBuffer;
 use crate::buffers::{Buffers, Memory};
-use crate::segment::objects::Objects;
 use crate::segment::{ConfigError, STRIP_COLUMNS, Segmenter};
 use crate::sensor::detect::Detection;
 use crate::sensor::unit::Unit;
@@ -358,10 +357,9 @@ impl Pipeline {
         }
     }
 
-    /// Finds objects while the head turns, from the next sweep on; `None` ends that. Objects wider
-    /// than `max_width_rad`, radians, come in parts.
-    pub fn find_objects(&mut self, max_width_rad: Option<f32>) {
-        self.segmenter.find_objects(max_width_rad.map(Objects::new));
+    /// Finds objects while the head turns, from the next sweep on, or no more.
+    pub fn find_objects(&mut self, finds: bool) {
+        self.segmenter.find_objects(finds);
         self.objects_of = ObjectsOf::default();
     }
 

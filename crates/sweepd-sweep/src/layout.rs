@@ -92,6 +92,13 @@ pub mod flags {
     pub const NOT_SEEING: u32 = 0x1F00;
 }
 
+/// Properties of a segment, as bits of [`Segment::flags`].
+pub mod segment_flags {
+    /// Wider than `max_object_deg` (60 degrees by default), or with the sensor inside its box: the
+    /// box says nothing of what is inside it.
+    pub const WIDE: u16 = 1 << 0;
+}
+
 /// Which clock [`Header::time_ns`] is in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
@@ -450,7 +457,16 @@ pub struct Segment {
     pub column_first: u32,
     /// Last column.
     pub column_last: u32,
-    _reserved: u32,
+    /// Bits of [`segment_flags`].
+    pub flags: u16,
+    _reserved: u16,
+}
+
+impl Segment {
+    /// Whether its box says nothing of what is inside it.
+    pub fn is_wide(&self) -> bool {
+        self.flags & segment_flags::WIDE != 0
+    }
 }
 
 const _: () = assert!(size_of::<Header>() == 448 && size_of::<Column>() == 24);

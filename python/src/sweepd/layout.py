@@ -38,6 +38,9 @@ FADED = 2048
 DARK_BELOW = 4096
 NOT_SEEING = 0x1F00
 
+# Properties of a segment, as bits of flags.
+SEGMENT_WIDE = 1
+
 # Which clock time_ns is in.
 TIME_HOST = 0
 TIME_GPS = 1
@@ -123,7 +126,7 @@ BEAM = np.dtype([
 SEGMENT = np.dtype([
     ("label", "<u4"), ("points", "<u4"), ("min_m", "<f4", (3,)), ("max_m", "<f4", (3,)), ("centroid_m", "<f4", (3,)),
     ("nearest_m", "<f4"), ("row_first", "<u2"), ("row_last", "<u2"), ("column_first", "<u4"), ("column_last", "<u4"),
-    ("reserved_60", "V4"),
+    ("flags", "<u2"), ("reserved_62", "V2"),
 ])  # fmt: skip
 OBJECT = np.dtype([
     ("segment", SEGMENT), ("first_pixel", "<u4"), ("ordinal", "<u4"), ("why", "<u4"), ("azimuth_first_rad", "<f4"),

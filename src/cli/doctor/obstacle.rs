@@ -247,7 +247,7 @@ impl Tried {
         let config = sensor.pipeline.clone();
         let mut pipeline = Pipeline::new("", config.clone())
             .map_err(|error| CliError::Failed(error.to_string()))?;
-        pipeline.find_objects(Some(sensor.objects.max_width_rad));
+        pipeline.find_objects(true);
         Ok(Self {
             name: sections.name_of(sender).to_owned(),
             trial: Trial::new(obstacle, Some(config)),

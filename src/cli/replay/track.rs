@@ -284,8 +284,7 @@ fn pipeline(
     let sensor = &setup.sections.all()[section].sensor;
     let mut pipeline = Pipeline::with_options(source, sensor.pipeline.clone(), options)
         .map_err(|error| CliError::Failed(error.to_string()))?;
-    let max_width_rad = sensor.objects.max_width_rad;
-    pipeline.find_objects(setup.args.objects.then_some(max_width_rad));
+    pipeline.find_objects(setup.args.objects);
     Ok(pipeline)
 }
 

@@ -893,7 +893,7 @@ fn no_setting_changes_without_a_word() {
         port: _,
         position_port: _,
         max_consumers: _,
-        objects: _,
+        objects_every_ns: _,
         dual: _,
         want: _,
         losses: _,

@@ -37,8 +37,8 @@ impl TimedSegmenter {
     }
 
     /// Finds objects, or no more.
-    pub(super) fn find_objects(&mut self, objects: Option<Objects>) {
-        self.segmenter.find_objects(objects);
+    pub(super) fn find_objects(&mut self, finds: bool) {
+        self.segmenter.find_objects(finds);
     }
 
     /// Columns of the open sweep that must be final before more of it can be done early.

@@ -1,6 +1,6 @@
 //! The configuration of a segmenter, and its limits.
 
-use std::f32::consts::FRAC_PI_2;
+use std::f32::consts::{FRAC_PI_2, FRAC_PI_3};
 use std::ops::RangeInclusive;
 
 use super::joining::{Joining, MAX_GAP_M};
@@ -38,6 +38,9 @@ pub struct Config {
     pub paper: PaperGround,
     /// Returns that a segment has at least; smaller ones are not labelled.
     pub min_points: u32,
+    /// A segment wider than this, seen from the sensor, says so, and its object comes in parts,
+    /// radians.
+    pub max_width_rad: f32,
     /// How the sensor sits on the robot.
     pub mount: Mount,
     /// Height of a step that the wheels climb, metres: by [`Method::Slope`], a steep face that rises
@@ -59,6 +62,7 @@ impl Default for Config {
             joining: Joining::default(),
             paper: PaperGround::default(),
             min_points: 10,
+            max_width_rad: FRAC_PI_3,
             mount: Mount::default(),
             climb_m: *CLIMB_M.end() as f32,
             min_range_m: 0.0,
@@ -105,6 +109,12 @@ pub enum ConfigError {
         /// Metres.
         found_m: f32,
     },
+    /// The width of a segment.
+    #[error("segments are wide from {found_deg} degrees on, expected more than 0")]
+    Width {
+        /// Degrees.
+        found_deg: f32,
+    },
     /// The mounting height.
     #[error("the sensor is mounted {found_m} m above the ground, expected more than 0")]
     Height {
@@ -139,6 +149,11 @@ impl Config {
         if !(least_m..=most_m).contains(&self.climb_m) {
             return Err(ConfigError::Climb {
                 found_m: self.climb_m,
+            });
+        }
+        if self.max_width_rad <= 0.0 || self.max_width_rad.is_nan() {
+            return Err(ConfigError::Width {
+                found_deg: self.max_width_rad.to_degrees(),
             });
         }
         match self.mount.height_m {

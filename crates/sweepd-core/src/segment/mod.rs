@@ -10,7 +10,7 @@
 //! find_ground   the ground of the next strip of columns                           ranges, points, climb
 //! join          what is no ground there: runs of neighbours, then windows         vote, runs, windows, near, components
 //! emit          objects that are complete                                       objects, seam
-//! label         components, small ones to others, labels and segments table       components, area, labels, extent
+//! label         components, small ones to others, labels and segments table       components, area, labels, extent, wide
 //! ```
 //!
 //! * [`Method::Slope`], the default, is the files at the right: `ground` by slope from the
@@ -48,6 +48,7 @@ mod strips;
 mod turn;
 mod turnover;
 mod vote;
+mod wide;
 mod windows;
 
 pub use config::{Config, ConfigError, Method};
@@ -295,12 +296,10 @@ impl Segmenter {
         self.strips.height_m()
     }
 
-    /// Finds objects from the next sweep on, or no more (`None`).
-    pub fn find_objects(&mut self, objects: Option<Objects>) {
-        self.seam = objects
-            .as_ref()
-            .map(|objects| Box::new(Seam::new(self.level, objects.max_width_rad())));
-        self.strips.objects = objects;
+    /// Finds objects from the next sweep on, or no more.
+    pub fn find_objects(&mut self, finds: bool) {
+        self.seam = finds.then(|| Box::new(Seam::new(self.level)));
+        self.strips.objects = finds.then(Objects::default);
     }
 
     /// The objects, if they are to be found.
@@ -337,12 +336,13 @@ impl Segmenter {
             }
         }
         label_other_returns(sweep, &self.config);
+        wide::mark(sweep, &self.config);
         let has_height = !self.estimates_height || sweep.header.height_m > 0.0;
         if let Some(objects) = &mut self.strips.objects {
             objects.end(&sweep.as_ref(), has_height);
         }
         if let Some(seam) = &mut self.seam {
-            seam.keep(sweep);
+            seam.keep(sweep, &self.config);
         }
     }
 }

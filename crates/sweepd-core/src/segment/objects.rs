@@ -20,13 +20,11 @@ use zerocopy::FromZeros;
 use super::components::{Components, Near, Sum};
 use super::order::{BEFORE, MOST_COLUMNS, Order, STRIP};
 use super::runs::Runs;
+use super::wide::Wide;
 use crate::sweep::image::pixel_azimuth_rad;
 use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_NONE, flags};
 use crate::sweep::objects::{Object, why};
 use crate::sweep::{Header, Segment, SweepRef};
-
-/// What is wider is emitted in parts, by default: 60 degrees, radians.
-pub const MAX_WIDTH_RAD: f32 = std::f32::consts::FRAC_PI_3;
 
 /// Where objects around a cut are emitted, position by position: those with a pixel behind it, and one
 /// before `until`.
@@ -40,10 +38,8 @@ pub(super) struct Cut {
 const NONE: u32 = u32::MAX;
 
 /// What is emitted of one sweep after another.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Objects {
-    /// What is wider is emitted in parts, radians.
-    max_width_rad: f32,
     /// Whether these are the objects around a cut.
     cut: Option<Cut>,
     /// Position behind the last strip that was followed.
@@ -174,36 +170,11 @@ impl Extent {
 }
 
 impl Objects {
-    /// Emits what is wider than this in parts, radians.
-    pub fn new(max_width_rad: f32) -> Self {
-        Self {
-            max_width_rad,
-            cut: None,
-            followed: 0,
-            sequence: None,
-            is_followed: false,
-            margin: 0,
-            emitted: Vec::new(),
-            handed: 0,
-            labels: None,
-            open: Vec::new(),
-            slots: Vec::new(),
-            notes: Vec::new(),
-            taken: (0, 0),
-            gifts: Vec::new(),
-        }
-    }
-
-    /// Wider objects are emitted in parts, radians.
-    pub(super) fn max_width_rad(&self) -> f32 {
-        self.max_width_rad
-    }
-
     /// Emits what lies around a cut.
-    pub(super) fn around(cut: Cut, max_width_rad: f32) -> Self {
+    pub(super) fn around(cut: Cut) -> Self {
         Self {
             cut: Some(cut),
-            ..Self::new(max_width_rad)
+            ..Self::default()
         }
     }
 
@@ -279,8 +250,6 @@ impl Objects {
     fn emit_parts(&mut self, strip: &Strip<'_>, min_points: u32) {
         // No window of a later strip reaches further back.
         let reached = self.followed - MOST_COLUMNS;
-        // The pitch of a single column is 0, and is divided by.
-        let most_columns = (self.max_width_rad / strip.pitch_rad.max(1e-6)) as usize;
         for index in 0..self.open.len() {
             let open = &mut self.open[index];
             let is_behind = open.whole.last < reached;
@@ -289,13 +258,13 @@ impl Objects {
             let is_at_seam = open.whole.first < STRIP + BEFORE;
             open.has_ended = is_behind && !is_at_seam;
             // The last part waits for no small ones: it is the whole that has them, with the sweep.
-            let is_wide = open.part.columns() > most_columns || open.is_parted && is_behind;
+            let is_wide = strip.wide.spans(open.part.columns()) || open.is_parted && is_behind;
             if is_wide && open.sum.points >= min_points.max(1) {
                 open.is_parted = true;
                 let Open { part, sum, .. } = *open;
                 (open.part, open.sum) = (Extent::NONE, Sum::NONE);
                 if let Some(reason) = self.reason(&part, why::WIDE) {
-                    self.push(object(&sum, &part, reason, strip));
+                    self.push(object(&sum, &part, 0, reason, strip));
                 }
             }
         }
@@ -331,7 +300,8 @@ impl Objects {
                 && sum.points >= min_points.max(1)
                 && let Some(reason) = self.reason(&whole, why::COMPLETE)
             {
-                self.push(object(&sum, &whole, reason, strip));
+                let columns = whole.columns();
+                self.push(object(&sum, &whole, columns, reason, strip));
             }
         }
     }
@@ -655,17 +625,17 @@ pub(super) struct Strip<'a> {
     pub position: usize,
     /// Its columns that count.
     pub counted: u64,
-    /// Angle between columns, radians.
-    pub pitch_rad: f32,
+    pub wide: Wide,
 }
 
-/// An object of the open sweep.
-fn object(sum: &Sum, extent: &Extent, reason: u32, strip: &Strip<'_>) -> Object {
+/// An object of the open sweep, or a part of one; by `columns` it may be wide, which a part is not.
+fn object(sum: &Sum, extent: &Extent, columns: usize, reason: u32, strip: &Strip<'_>) -> Object {
     let Strip { sweep, order, .. } = *strip;
     let mut segment = sum.segment(LABEL_NONE);
     let column = |position: usize| order.column(position).unwrap_or(0);
     segment.column_first = column(extent.first) as u32;
     segment.column_last = column(extent.last) as u32;
+    segment.flags = strip.wide.flags(&segment, columns);
     let shot = |shot: Shot| {
         let beam = &sweep.beams[shot.row()];
         // The firing has come, with one exception: around the cut, pixels of the turn before have

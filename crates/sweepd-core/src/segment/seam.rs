@@ -30,7 +30,6 @@ const BEFORE_NS: i64 = 1 << 30;
 #[derive(Clone, Debug)]
 pub(super) struct Seam {
     strips: Strips,
-    max_width_rad: f32,
     image: Vec<u64>,
     /// The turn before, by its number, and the sensor's time of its first shot, nanoseconds.
     turn: Option<(u64, i64)>,
@@ -48,11 +47,9 @@ pub(super) struct Seam {
 }
 
 impl Seam {
-    /// Wider objects are emitted in parts, radians.
-    pub fn new(level: Level, max_width_rad: f32) -> Self {
+    pub fn new(level: Level) -> Self {
         Self {
             strips: Strips::new(level),
-            max_width_rad,
             image: Vec::new(),
             turn: None,
             rows: 0,
@@ -66,7 +63,7 @@ impl Seam {
     }
 
     /// Keeps the end of a complete turn.
-    pub fn keep(&mut self, sweep: &SweepMut<'_>) {
+    pub fn keep(&mut self, sweep: &SweepMut<'_>, config: &Config) {
         self.turn = None;
         self.strips.objects = None;
         if !sweep.header.has(flags::CIRCULAR) || sweep.header.columns == 0 {
@@ -77,7 +74,7 @@ impl Seam {
         let start = Order::new(&of, None).start;
         let shifts = of.beams.iter().map(|beam| beam.shift.max(0) as usize);
         let lead = shifts.max().unwrap_or(0).min(columns);
-        let width = self.max_width_rad / std::f32::consts::TAU * columns as f32;
+        let width = config.max_width_rad / std::f32::consts::TAU * columns as f32;
         let width = (width as usize).min(columns);
         let tail = (start + BEFORE + width).min(columns);
         // To where the widest object that begins before the strips of the turn do is known to have
@@ -241,7 +238,7 @@ impl Seam {
                 at: self.tail - trail,
                 until: self.tail + STRIP + BEFORE,
             };
-            self.strips.objects = Some(Objects::around(cut, self.max_width_rad));
+            self.strips.objects = Some(Objects::around(cut));
             self.strips.begin(image, config, height_m, ready);
         } else {
             self.strips.go_on(image, ready);

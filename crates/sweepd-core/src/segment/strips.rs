@@ -27,6 +27,7 @@ use super::points::Beams;
 use super::ranges::Ranges;
 use super::runs::{Bits, Runs};
 use super::vote::vote;
+use super::wide::Wide;
 use super::windows::Windows;
 use crate::sweep::{SweepMut, SweepRef};
 
@@ -213,7 +214,7 @@ impl Strips {
             order: self.beams.order,
             position: self.position(),
             counted: self.counted(),
-            pitch_rad: self.pitch_rad,
+            wide: Wide::new(config.max_width_rad, self.pitch_rad),
         };
         if let Some(objects) = &mut self.objects {
             objects.follow(simd, strip, &mut self.components, config.min_points);

@@ -20,10 +20,11 @@ const SOURCES: [(&str, Topic); 4] = [
 ];
 
 /// Groups of numbers, and what stands before the names of their numbers in other languages.
-const PREFIXES: [(&str, &str); 13] = [
+const PREFIXES: [(&str, &str); 14] = [
     ("constant", ""),
     ("label", ""),
     ("flags", ""),
+    ("segment_flags", "SEGMENT_"),
     ("TimeSource", "TIME_"),
     ("ReturnMode", "MODE_"),
     ("ReturnChoice", "CHOICE_"),

@@ -29,6 +29,9 @@ export const FADED = 2048;
 export const DARK_BELOW = 4096;
 export const NOT_SEEING = 0x1F00;
 
+// Properties of a segment, as bits of flags.
+export const SEGMENT_WIDE = 1;
+
 // Which clock time_ns is in.
 export const TIME_HOST = 0;
 export const TIME_GPS = 1;
@@ -156,6 +159,7 @@ export const SEGMENT = {
     [50, "u16", "row_last"],
     [52, "u32", "column_first"],
     [56, "u32", "column_last"],
+    [60, "u16", "flags"],
   ],
 };
 
