@@ -1,5 +1,5 @@
 //! The segments of a sweep as `visualization_msgs/MarkerArray`: a box each, in the colour that its
-//! label has in pictures.
+//! label has in pictures; none of a wide one, whose box says nothing of what is inside.
 //!
 //! The first marker deletes those of the sweep before. A box is the extent of its segment along the
 //! axes of the sensor; its `id` is the label, its namespace `segments`.
@@ -36,14 +36,16 @@ pub fn encode_deskewed(
 ) {
     let time_ns = header.stamp.time_ns(sweep);
     let mut writer = Writer::new(message);
-    writer.count(1 + sweep.segments.len());
+    let segments = sweep.segments.iter().enumerate();
+    let boxed = segments.filter(|(_, segment)| !segment.is_wide());
+    writer.count(1 + boxed.clone().count());
     writer.header(time_ns, header.frame_id);
     marker(&mut writer, DELETE_ALL, 0, &Extent::default());
     let moved = motion.map(|motion| {
         let shots = Shots::at_moment(sweep, Some(motion), header.stamp);
         ends_m(sweep, &shots)
     });
-    for (index, segment) in sweep.segments.iter().enumerate() {
+    for (index, segment) in boxed {
         let own_m = [segment.min_m, segment.max_m].map(|end| end.map(f64::from));
         let moved_m = moved.as_ref().map(|moved| moved[index]);
         // A segment of a hostile publisher may have no points.

@@ -15,7 +15,7 @@ Topics of the sensor `roof`, each computed only while it has a subscriber:
   ~/roof/nonground    the same, all but ground
   ~/roof/objects      the same, segments alone
   ~/roof/scan         sensor_msgs/LaserScan, the nearest of nonground seen from above
-  ~/roof/markers      visualization_msgs/MarkerArray, a box a segment
+  ~/roof/markers      visualization_msgs/MarkerArray, a box a segment that is not wide
   ~/roof/range_image  sensor_msgs/Image, 32FC1, metres
   ~/roof/label_image  sensor_msgs/Image, 16UC1
   ~/roof/points_deskewed  as points, where the parameter `deskew` is given

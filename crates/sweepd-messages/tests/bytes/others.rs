@@ -173,9 +173,12 @@ fn images_are_rows_from_the_top_from_left_to_right() {
 fn boxes_are_the_extents_of_segments() {
     let mut scene = Scene::new(1, 1, false);
     scene.fill(|sweep| {
-        sweep.header.segments = 1;
-        let segment = &mut sweep.segments[0];
-        (segment.label, segment.min_m, segment.max_m) = (2, [1.0, 10.0, -1.0], [3.0, 11.0, -1.0]);
+        sweep.header.segments = 3;
+        // Wide ones have none; of the other flags nothing is known.
+        for (segment, flags) in sweep.segments.iter_mut().zip([1, 0xFFFE, 0xFFFF]) {
+            (segment.label, segment.flags) = (2, flags);
+            (segment.min_m, segment.max_m) = ([1.0, 10.0, -1.0], [3.0, 11.0, -1.0]);
+        }
     });
     let mut message = Vec::new();
     markers::encode(&scene.sweep(), &HEADER, &mut message);
