@@ -3,7 +3,7 @@
 
 import { Camera, VIEWS, project } from "./camera.js";
 import * as palette from "./palette.js";
-import { LABEL_FIRST_SEGMENT, LABEL_GROUND, OTHER, PARTIAL, Points, moved, movedSegment } from "./sweep.js";
+import { LABEL_FIRST_SEGMENT, LABEL_GROUND, OTHER, PARTIAL, Points, isWide, moved, movedSegment } from "./sweep.js";
 
 /** What points can be coloured by. */
 export const COLOURS = {
@@ -236,9 +236,9 @@ export class CloudView {
     }
     gl.useProgram(this.linesProgram.program);
     if (options.boxes) side.outlines.draw(gl);
-    const entry = marked.label - LABEL_FIRST_SEGMENT;
-    if (entry < side.segments.length) {
-      side.markedOutline.fill(gl, outline(side.segments[entry], 0xffffffff));
+    const segment = side.segments[marked.label - LABEL_FIRST_SEGMENT];
+    if (segment !== undefined && !isWide(segment)) {
+      side.markedOutline.fill(gl, outline(segment, 0xffffffff));
       side.markedOutline.draw(gl);
     }
   }
@@ -658,11 +658,11 @@ function mostly(values) {
   return some.length === 0 ? 0 : some[Math.floor((some.length - 1) * 0.98)];
 }
 
-/** The boxes of segments. Those of walls and the like, which hold others, are faint. */
+/** The boxes of segments. Those of walls and the like, which may hold others, are faint; wide segments have none. */
 function boxes(segments) {
   return segments.flatMap((segment) => {
     const size = segment.max_m.map((most, axis) => most - segment.min_m[axis]);
-    if (size[2] < 0.2) return [];
+    if (size[2] < 0.2 || isWide(segment)) return [];
     const alpha = Math.max(...size) > 8 ? 40 : 150;
     return outline(segment, ((palette.label(segment.label) & 0xffffff) | (alpha << 24)) >>> 0);
   });

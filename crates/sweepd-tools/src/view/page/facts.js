@@ -3,7 +3,7 @@
 import {
   BLANKED, BLIND, CIRCULAR, CHOICE_LAST, CHOICE_STRONGEST, COVERED, DARK_BELOW, FADED, FROZEN, HEIGHT_ESTIMATED, KIND_LAST,
   LABEL_GROUND, LABEL_NONE, LOSS_ESTIMATED, MODELS, MODE_DUAL, MODE_LAST, PARTIAL, RATE_UNSTABLE, REVERSED, STOPPED, TIME_GPS,
-  moved, movedSegment,
+  isWide, moved, movedSegment,
 } from "./sweep.js";
 import * as palette from "./palette.js";
 
@@ -108,7 +108,7 @@ export class Facts {
     const name = label === undefined ? "–" : label === LABEL_NONE ? "no label" : label === LABEL_GROUND ? "ground" : `segment ${label}`;
     put("label", found === null && selection !== null && segment === undefined ? "no return" : name);
     const size = segment && segment.max_m.map((most, axis) => (most - segment.min_m[axis]).toFixed(1)).join(" × ");
-    put("size", segment ? `${size} m` : "–");
+    put("size", segment ? `${size} m${isWide(segment) ? ", wide" : ""}` : "–");
     put("points", segment ? `${segment.points}, nearest ${metres(segment.nearest_m)}` : "–");
     const swatch = this.values.get("label").previousElementSibling;
     swatch.style.background = label === undefined ? "transparent" : palette.css(palette.label(label));

@@ -415,6 +415,11 @@ export function moved(pose, point) {
   return pose.map(([a, b, c, d]) => a * x + b * y + c * z + d);
 }
 
+/** Whether the box of a segment says nothing of what is inside. */
+export function isWide({ flags }) {
+  return (flags & SEGMENT_WIDE) !== 0;
+}
+
 /** A segment in the frame of a pose: the box is that around its box. */
 export function movedSegment(pose, segment) {
   if (pose === null) return segment;
