@@ -432,6 +432,7 @@ class Geometry(unittest.TestCase):
         for frame, pose in (("sensor", np.identity(4)), ("robot", sweep.mount), ("ros", sweepd.ROS @ sweep.mount)):
             boxes, table = sweep.boxes(frame), sweep.segments_to_pandas(frame)
             self.assertEqual(boxes.shape, (len(sweep.segments), 2, 3))
+            self.assertEqual(table["wide"].tolist(), (sweep.segments["flags"] == layout.SEGMENT_WIDE).tolist())
             for at, segment in enumerate(sweep.segments):
                 corners = np.array(list(itertools.product(*zip(segment["min_m"], segment["max_m"]))), dtype=float)
                 corners = corners @ pose[:3, :3].T + pose[:3, 3]

@@ -27,6 +27,7 @@ struct ObjectLine<'a> {
     first_pixel: u32,
     azimuth_deg: [f64; 2],
     time_ns: [i64; 2],
+    wide: bool,
 }
 
 /// All objects of a sweep are known.
@@ -131,6 +132,7 @@ impl<'a> ObjectLine<'a> {
             first_pixel: object.first_pixel,
             azimuth_deg: [object.azimuth_first_rad, object.azimuth_last_rad].map(degrees),
             time_ns: [object.first_ns, object.last_ns].map(time_ns),
+            wide: segment.is_wide(),
         }
     }
 }

@@ -9,7 +9,7 @@ use sweepd_core::sweep::{Frame, Pose, Segment, SweepRef};
 /// First line of a table as CSV; also the keys of a line of JSON, in their order.
 pub const HEADER: &str = "sensor,seq,time_ns,label,points,centroid_x_m,centroid_y_m,centroid_z_m,min_x_m,min_y_m,min_z_m,\
                           max_x_m,max_y_m,max_z_m,nearest_m,azimuth_first_deg,azimuth_last_deg,row_first,row_last,\
-                          column_first,column_last\n";
+                          column_first,column_last,wide\n";
 
 /// How a table is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,6 +45,7 @@ enum Value<'a> {
     Count(u64),
     Time(i64),
     Decimal(f64),
+    Flag(bool),
 }
 
 /// Writes a line for each segment of a sweep, in the order of their labels. `sensor` is its name, or
@@ -73,7 +74,7 @@ pub fn write_segments(
 }
 
 /// In the order of [`HEADER`].
-fn values<'a>(sweep: &SweepRef<'a>, segment: &Segment, pose: Option<&Pose>) -> [Value<'a>; 21] {
+fn values<'a>(sweep: &SweepRef<'a>, segment: &Segment, pose: Option<&Pose>) -> [Value<'a>; 22] {
     let centroid = segment.centroid_in(pose);
     let [least, greatest] = segment.box_in(pose);
     [
@@ -98,6 +99,7 @@ fn values<'a>(sweep: &SweepRef<'a>, segment: &Segment, pose: Option<&Pose>) -> [
         Value::Count(segment.row_last.into()),
         Value::Count(segment.column_first.into()),
         Value::Count(segment.column_last.into()),
+        Value::Flag(segment.is_wide()),
     ]
 }
 
@@ -136,6 +138,7 @@ fn push_line(text: &mut Vec<u8>, values: &[Value<'_>], format: TableFormat) {
                 text.extend_from_slice(b"null,")
             }
             Value::Decimal(number) => push_decimal(text, number),
+            Value::Flag(flag) => text.extend_from_slice(format!("{flag},").as_bytes()),
         }
     }
     // Removes the comma after the last value.
@@ -147,6 +150,7 @@ fn push_line(text: &mut Vec<u8>, values: &[Value<'_>], format: TableFormat) {
 mod tests {
     use super::*;
     use crate::export::test_scene::{Scene, two_beams};
+    use sweepd_core::sweep::layout::segment_flags;
 
     fn written(sweep: SweepRef<'_>, frame: Frame, format: TableFormat) -> String {
         let mut out = Vec::new();
@@ -161,6 +165,7 @@ mod tests {
             (sweep.header.segments, sweep.header.sequence) = (1, 7);
             let segment = &mut sweep.segments[0];
             (segment.label, segment.points, segment.nearest_m) = (2, 31, 5.25);
+            segment.flags = segment_flags::WIDE;
             (segment.min_m, segment.max_m) = ([-1.0, 5.0, -0.5], [-0.25, 6.0, 1.5]);
             segment.centroid_m = [-0.5, 5.5, 0.000_04];
             (
@@ -181,7 +186,7 @@ mod tests {
         assert_eq!(
             csv,
             "192.168.1.201:2368,7,1700000000000000000,2,31,-0.5000,5.5000,0.0000,-1.0000,5.0000,-0.5000,-0.2500,6.0000,\
-             1.5000,5.2500,0.0000,90.0000,0,1,1,0\n"
+             1.5000,5.2500,0.0000,90.0000,0,1,1,0,true\n"
         );
         let json = written(scene.sweep(), Frame::Ros, TableFormat::Jsonl);
         assert_eq!(
@@ -190,7 +195,7 @@ mod tests {
              \"centroid_x_m\":5.5000,\"centroid_y_m\":0.5000,\"centroid_z_m\":0.0000,\"min_x_m\":5.0000,\
              \"min_y_m\":0.2500,\"min_z_m\":-0.5000,\"max_x_m\":6.0000,\"max_y_m\":1.0000,\"max_z_m\":1.5000,\
              \"nearest_m\":5.2500,\"azimuth_first_deg\":0.0000,\"azimuth_last_deg\":90.0000,\"row_first\":0,\
-             \"row_last\":1,\"column_first\":1,\"column_last\":0}\n"
+             \"row_last\":1,\"column_first\":1,\"column_last\":0,\"wide\":true}\n"
         );
     }
 

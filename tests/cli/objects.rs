@@ -55,6 +55,7 @@ fn each_segment_is_told_once_and_most_before_their_sweep() {
         assert_eq!(whole.len(), 1, "sweep {sequence}, segment {label}");
         let columns = [&segment["column_first"], &segment["column_last"]];
         assert_eq!(whole[0]["points"], segment["points"]);
+        assert_eq!(whole[0]["wide"], segment["wide"]);
         assert_eq!([&whole[0]["columns"][0], &whole[0]["columns"][1]], columns);
         for (index, axis) in ["x", "y", "z"].into_iter().enumerate() {
             for (name, key) in [

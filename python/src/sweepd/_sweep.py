@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from . import _show, layout
 from ._header import Floats, Frame, Headed
-from .layout import BEAM, COLUMN, SEGMENT
+from .layout import BEAM, COLUMN, SEGMENT, SEGMENT_WIDE
 
 XYZ = tuple[Floats, Floats, Floats]
 PoseAt = Union[Floats, Callable[[NDArray[np.int64]], Floats]]
@@ -258,7 +258,7 @@ class Sweep(Headed):
         if pose is not None:
             lengths["centroid_m"] = lengths["centroid_m"] @ pose[:3, :3].T + pose[:3, 3]
 
-        names = [name for name in SEGMENT.names or () if not name.startswith("reserved")]
+        names = [name for name in SEGMENT.names or () if not name.startswith("reserved") and name != "flags"]
         table: dict[str, Any] = {"sensor": self.name or self.sensor, "seq": self.sequence}
         table["time_ns"] = self.header["time_ns"]
         for name in names:
@@ -267,6 +267,7 @@ class Sweep(Headed):
                 table[name] = values
             else:
                 table.update({f"{name[:-2]}_{axis}_m": values[:, at] for at, axis in enumerate("xyz")})
+        table["wide"] = (self.segments["flags"] & SEGMENT_WIDE) != 0
         return pd.DataFrame(table, index=np.arange(len(self.segments)))
 
     def to_open3d(self, points: Floats | None = None, *, other: bool = False) -> Any:
