@@ -174,7 +174,8 @@ table! {
     /// Consumers at most, 1 to 16. Each takes memory for four sweeps more.
     max_consumers = 4, Whole(1..=16; usize) [max_consumers], Restart text;
     /// Objects while the head turns, if a consumer of them is connected: how long complete objects may wait for more, 1 to 100 ms
-    /// (new ones come about every 3 ms; a longer wait saves processor time); and the width, degrees, above which they come in parts.
+    /// (new ones come about every 3 ms; a longer wait saves processor time); and the width, degrees, above which they come in parts
+    /// and segments are flagged wide.
     objects_every_ms = 5, Whole(1..=100, nanoseconds) [objects_every_ns], Restart milliseconds;
     max_object_deg = 60, Number(5.0..=360.0, "degrees", radians) [pipeline.segment.max_width_rad], Restart degrees;
 }
