@@ -248,8 +248,7 @@ impl Sweep {
     fn of(received: Received) -> Result<Self, LayoutError> {
         received.check()?;
         let bytes: &[u8] = received.as_ref();
-        let (header, _) = Header::read_from_prefix(bytes)
-            .map_err(|_| LayoutError::Bytes { bytes: bytes.len() })?;
+        let header = Header::copied(bytes)?;
         let sweep = Self { header, received };
         sweep.view()?;
         Ok(sweep)

@@ -1,8 +1,8 @@
 //! Reads and writes the fields of a header.
 
-use zerocopy::FromZeros;
+use zerocopy::{FromBytes, FromZeros};
 
-use super::{Column, Header, LAYOUT_VERSION, MAGIC, Part, Shape, TimeSource};
+use super::{Column, Header, LAYOUT_VERSION, LayoutError, MAGIC, Part, Shape, TimeSource};
 use crate::ReturnMode;
 
 impl Header {
@@ -21,6 +21,17 @@ impl Header {
             return_mode: u32::from(ReturnMode::Strongest.byte()),
             ..Self::new_zeroed()
         }
+    }
+
+    /// Returns a copy of the header of some bytes, not checked: for
+    /// [`SweepRef::with_header`](crate::SweepRef::with_header).
+    ///
+    /// # Errors
+    /// [`LayoutError::Bytes`] when they are too few.
+    pub fn copied(bytes: &[u8]) -> Result<Self, LayoutError> {
+        let too_short = LayoutError::Bytes { bytes: bytes.len() };
+        let (header, _) = Self::read_from_prefix(bytes).map_err(|_| too_short)?;
+        Ok(header)
     }
 
     /// The shape that the counts and offsets describe.
