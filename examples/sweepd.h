@@ -554,6 +554,13 @@ static inline sweepd_pose sweepd_objects_mount(const sweepd_objects_header *head
     return sweepd_mounted(header->position_m, header->yaw_rad, header->pitch_rad, header->roll_rad);
 }
 
+/* z of the floor in the frame of the robot, metres, from position_m and height_m of either header: as far below the sensor as its
+ * height says, and never above the origin. NaN while neither the height nor a z_m over 0 is known. */
+static inline double sweepd_floor_m(const float position_m[3], float height_m) {
+    if (!(position_m[2] > 0.0f) && !(height_m > 0.0f)) return (double)NAN;
+    return fmin((double)position_m[2] - (double)height_m, 0.0);
+}
+
 /* From x right, y forward, z up to the axes of ROS: x forward, y left, z up. */
 static inline sweepd_pose sweepd_ros(void) {
     const sweepd_pose pose = {{{0.0, 1.0, 0.0}, {-1.0, 0.0, 0.0}, {0.0, 0.0, 1.0}}, {0.0, 0.0, 0.0}};
@@ -696,6 +703,32 @@ size_t sweepd_client_attribute(sweepd_client *client, const char *key, char *tex
 
 /* Names of the sensors that are published on this host, one a line; SIZE_MAX: sweepd_error. */
 size_t sweepd_sensors(const char *root, char *names, size_t capacity);
+
+/* A box in the frame of the robot that stands on the floor (sweepd_floor_m): x right, y ahead, z up from the floor, metres. Where the
+ * floor is not known, all that is over and under it counts. */
+typedef struct sweepd_zone {
+    double least_m[3];
+    double most_m[3];
+} sweepd_zone;
+
+/* Fewest returns of an obstacle; 0 is taken as 1. */
+typedef struct sweepd_least {
+    uint32_t labelled;   /* of segments, of whichever, together */
+    uint32_t unlabelled; /* without label, neighbours in the image and in range, two of a pixel once; more than 16 are taken as 16 */
+} sweepd_least;
+
+/* The nearest obstacle. */
+typedef struct sweepd_obstacle {
+    double distance_m; /* from the robot's origin to its nearest return, along the floor */
+    uint32_t returns;  /* those of its label in the zone; without label, those in groups that are large enough */
+    uint32_t label;    /* of its nearest return: 0, or of a segment */
+} sweepd_obstacle;
+
+/* Whether a way is free: 1, and the nearest obstacle in a zone, of the bytes of a sweep; 0: there is none; -1: sweepd_error. `least` may
+ * be NULL: 3 and 4; `to` may be NULL. It allocates nothing. 0 does not mean that nothing is there: a low or thin thing may have no
+ * return, and a sensor that does not see has SWEEPD_NOT_SEEING. Returns that a mask or the limits of range keep out of segments have no
+ * label, and so can be an obstacle. */
+int32_t sweepd_find_obstacle(const void *bytes, size_t len, const sweepd_zone *zone, const sweepd_least *least, sweepd_obstacle *to);
 
 /* Ends a client, which no thread may use any more. Samples stay. */
 void sweepd_client_close(sweepd_client *client);

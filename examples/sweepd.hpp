@@ -259,6 +259,14 @@ public:
     Span<sweepd_segment> segments() const& { return {view().segments, view().segments_len}; }
     Returns returns() const& { return Returns(view()); }
 
+    /// The nearest obstacle in a zone, as sweepd_find_obstacle says. Throws Error for a zone that is no box.
+    std::optional<sweepd_obstacle> obstacle(const sweepd_zone& zone, const sweepd_least& least = {3, 4}) const {
+        sweepd_obstacle found{};
+        const std::int32_t is_found = sweepd_find_obstacle(held_.bytes().data(), held_.bytes().size(), &zone, &least, &found);
+        if (is_found < 0) throw Error(sweepd_error());
+        return is_found == 0 ? std::nullopt : std::optional(found);
+    }
+
     void view() const&& = delete;
     void header() const&& = delete;
     void bytes() const&& = delete;

@@ -19,6 +19,8 @@ mod library;
 mod native;
 #[path = "consumers/objects.rs"]
 mod objects;
+#[path = "consumers/obstacle.rs"]
+mod obstacle;
 #[path = "consumers/pallet.rs"]
 mod pallet;
 #[path = "consumers/programs.rs"]

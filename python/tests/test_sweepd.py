@@ -352,6 +352,7 @@ class Running(unittest.TestCase):
             (mock.patch.dict(os.environ, SWEEPD_LIBRARY="/none.so"), "/none.so.*install a wheel"),
             (mock.patch.dict(os.environ, SWEEPD_LIBRARY="libc.so.6"), "libc.so.6 is not the library of sweepd"),
             (mock.patch.object(_library, "ABI_VERSION", 99), "version 1 of its interface.* version 99"),
+            (mock.patch.dict(_library._FUNCTIONS, sweepd_newer=(None,)), "has no sweepd_newer: it is older"),
         ):
             _library.library.cache_clear()
             with change, self.assertRaisesRegex(sweepd.SweepdError, words):
@@ -448,6 +449,26 @@ class Geometry(unittest.TestCase):
                 wrong()
         with self.assertRaisesRegex(ValueError, "one return"):
             self.sweeps[0].points(other=True)
+
+    def test_the_nearest_obstacle(self):
+        """By the labels alone, and what is no zone."""
+        sweep = self.sweeps[-1]
+        self.assertEqual((sweep.floor_m, sweep.mount.tolist()), (-float(sweep.header["height_m"]), np.identity(4).tolist()))
+        labels = (False, sweep.label), (True, sweep.label2)
+        points = np.concatenate([sweep.points(other=other)[label >= 2] for other, label in labels])
+        least_m, most_m = np.array([-3, 1, 0.3]), np.array([3, 30, 2.5])
+        above = points - [0, 0, sweep.floor_m]
+        inside = points[((above >= least_m) & (above <= most_m)).all(axis=1)]
+        found = sweep.obstacle(least_m, most_m.tolist(), unlabelled=16)
+        self.assertIsInstance(found, sweepd.Obstacle)
+        self.assertGreater(found.label, 1)
+        self.assertLess(abs(found.distance_m - np.hypot(*inside.T[:2]).min()), 1e-9)
+        self.assertIsNone(sweep.obstacle(least_m, most_m, labelled=len(inside) + 1, unlabelled=16))
+        with self.assertRaisesRegex(sweepd.SweepdError, "is no box"):
+            sweep.obstacle(most_m, least_m)
+        for least_m, counts in (([0, 0], {}), ([0, 0, 0], {"labelled": -1})):
+            with self.assertRaises(ValueError):
+                sweep.obstacle(least_m, [1] * len(least_m), **counts)
 
     def test_a_deskewed_cloud_is_sharp(self):
         """Six turns of a room, seen from a robot that moves and turns: cells of 10 cm that its walls and shelves are in."""

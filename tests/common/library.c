@@ -9,6 +9,8 @@
  *         leave       ends the client, then says whether what is held is as it came, then gives it back on another thread
  *     library watch NAME ROOT                   a line a sweep: its run, its number, and a hash of its bytes as it came and some
  *                                               milliseconds later
+ *     library obstacle FILE                     the nearest obstacle of the sweep in a file, for each line of standard input with a zone
+ *                                               and two counts
  *     library wrong                             calls each function with what it must refuse
  */
 
@@ -213,7 +215,43 @@ static int watch(const char *name, const char *root) {
     }
 }
 
+static int obstacle(const char *path) {
+    char line[512];
+    FILE *file = fopen(path, "rb");
+    size_t len;
+    void *bytes;
+    assert(file != NULL && fseek(file, 0, SEEK_END) == 0);
+    len = (size_t)ftell(file);
+    bytes = malloc(len);
+    rewind(file);
+    assert(fread(bytes, 1, len, file) == len && fclose(file) == 0);
+    while (fgets(line, sizeof line, stdin) != NULL) {
+        sweepd_zone zone;
+        sweepd_least least;
+        sweepd_obstacle found;
+        assert(sscanf(line, "%lf %lf %lf %lf %lf %lf %" SCNu32 " %" SCNu32, &zone.least_m[0], &zone.least_m[1], &zone.least_m[2],
+                      &zone.most_m[0], &zone.most_m[1], &zone.most_m[2], &least.labelled, &least.unlabelled) == 8);
+        const int32_t is_found = sweepd_find_obstacle(bytes, len, &zone, &least, &found);
+        printf("{\"found\":%d", (int)is_found);
+        if (is_found == 1)
+            printf(",\"distance_m\":%.17g,\"returns\":%" PRIu32 ",\"label\":%" PRIu32, found.distance_m, found.returns, found.label);
+        if (is_found < 0) say_text("error", sweepd_error());
+        assert(sweepd_find_obstacle(bytes, len, &zone, &least, NULL) == is_found);
+        if (least.labelled == 3 && least.unlabelled == 4) {
+            sweepd_obstacle again;
+            assert(sweepd_find_obstacle(bytes, len, &zone, NULL, &again) == is_found);
+            assert(is_found != 1 || memcmp(&again, &found, sizeof found) == 0);
+        }
+        printf("}\n");
+        fflush(stdout);
+    }
+    free(bytes);
+    return 0;
+}
+
 static int wrong(void) {
+    static const sweepd_zone box = {{-1.0, 0.0, 0.0}, {1.0, 5.0, 2.0}};
+    static const uint64_t none[100];
     char text[8] = "before";
     size_t len = 7;
     sweepd_sample *sample = (sweepd_sample *)text;
@@ -230,6 +268,10 @@ static int wrong(void) {
     assert(sweepd_client_is_connected(NULL) == 0 && sweepd_client_is_published(NULL) == 0);
     assert(sweepd_client_attribute(NULL, "model", text, sizeof text) == SIZE_MAX && strcmp(text, "before") == 0);
     assert(sweepd_sensors("/no/such", text, sizeof text) == 0 && strcmp(text, "") == 0);
+    assert(sweepd_find_obstacle(none, sizeof none, NULL, NULL, NULL) == -1 && strstr(sweepd_error(), "zone is NULL") != NULL);
+    assert(sweepd_find_obstacle(NULL, 0, &box, NULL, NULL) == -1 && strstr(sweepd_error(), "sweep are NULL") != NULL);
+    assert(sweepd_find_obstacle(none, 7, &box, NULL, NULL) == -1 && strstr(sweepd_error(), "7 bytes") != NULL);
+    assert(sweepd_find_obstacle(none, sizeof none, &box, NULL, NULL) == -1 && strstr(sweepd_error(), "magic") != NULL);
     sweepd_client_close(NULL);
     sweepd_sample_release(NULL);
     client = sweepd_client_open("roof", "/no/such");
@@ -245,6 +287,7 @@ static int wrong(void) {
 int main(int argc, char **argv) {
     if (argc >= 5 && strcmp(argv[1], "talk") == 0) return talk(argv[2], argv[3], argv[4], argc == 6);
     if (argc == 4 && strcmp(argv[1], "watch") == 0) return watch(argv[2], argv[3]);
+    if (argc == 3 && strcmp(argv[1], "obstacle") == 0) return obstacle(argv[2]);
     if (argc == 2 && strcmp(argv[1], "wrong") == 0) return wrong();
     return 1;
 }

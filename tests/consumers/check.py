@@ -6,6 +6,7 @@
                                         waiting; `use`: asks all that can be asked of it; or of a message of objects
     check.py points_in FILE START_NS X Y W   the points of a sweep in a file, of a robot that moves so since then: metres a
                                         second, radians a second clockwise
+    check.py obstacle FILE              the nearest obstacle of the sweep in a file, for each line with a zone and two counts
     check.py hold NAME ROOT             holds sweeps and arrays, and says what became of them
 """
 
@@ -163,8 +164,20 @@ def points_in(file, start_ns, x, y, turn):
     sys.stdout.buffer.write(points.tobytes())
 
 
+def obstacle(file):
+    sweep = sweepd.Sweep(np.fromfile(file, np.uint8))
+    for line in sys.stdin:
+        *ends, labelled, unlabelled = line.split()
+        ends = list(map(float, ends))
+        try:
+            found = sweep.obstacle(ends[:3], ends[3:], labelled=int(labelled), unlabelled=int(unlabelled))
+            say(found=int(found is not None), **(found._asdict() if found else {}))
+        except sweepd.SweepdError as error:
+            say(error=str(error))
+
+
 try:
-    {"objects": lambda: objects(*sys.argv[2:]), "points_in": lambda: points_in(*sys.argv[2:]), "follow": lambda: follow(*sys.argv[2:]), "refuse": lambda: refuse(*sys.argv[2:]),
+    {"obstacle": lambda: obstacle(*sys.argv[2:]), "objects": lambda: objects(*sys.argv[2:]), "points_in": lambda: points_in(*sys.argv[2:]), "follow": lambda: follow(*sys.argv[2:]), "refuse": lambda: refuse(*sys.argv[2:]),
      "hold": lambda: hold(*sys.argv[2:])}[sys.argv[1]]()
 except sweepd.SweepdError as error:
     say(error=str(error))

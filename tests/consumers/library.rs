@@ -28,7 +28,7 @@ const UNPUBLISHED: i64 = 2;
 const INVALID: i64 = 4;
 const FAILED: i64 = 5;
 
-fn program() -> &'static Path {
+pub fn program() -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
     PROGRAM.get_or_init(|| c_program(&folder("library")))
 }

@@ -12,12 +12,14 @@ use std::os::unix::ffi::OsStrExt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process;
 use std::ptr;
+use std::slice;
 use std::sync::{Mutex, MutexGuard};
 use std::time::Duration;
 
 use sweepd_client::client::{
     Client, ClientError, Domain, Next, Objects, ObjectsMessage, Subscriber, Sweep,
 };
+use sweepd_client::sweep::{Header, LeastReturns, Obstacle, SweepRef, Zone};
 
 mod abi;
 
@@ -458,4 +460,57 @@ pub unsafe extern "C" fn sweepd_sample_release(sample: *mut Sample) {
         unsafe { Owned::take_back(sample) };
         Ok(())
     });
+}
+
+/// Returns the nearest obstacle in a zone of a sweep.
+///
+/// # Safety
+/// `bytes` is NULL or has `len` bytes, `zone` is NULL or a zone, and so is `least`.
+unsafe fn obstacle(
+    bytes: *const c_void,
+    len: usize,
+    zone: *const Zone,
+    least: *const LeastReturns,
+) -> Result<Option<Obstacle>, String> {
+    // SAFETY: as the caller promises.
+    let (zone, least) = unsafe { (zone.as_ref(), least.as_ref()) };
+    let zone = zone.ok_or("the zone is NULL")?;
+    if !zone.is_box() {
+        let [least_m, most_m] = [zone.least_m, zone.most_m];
+        return Err(format!(
+            "the zone from {least_m:?} to {most_m:?} is no box: no least may be greater than its most, or a NaN"
+        ));
+    }
+    if bytes.is_null() {
+        return Err("the bytes of the sweep are NULL".to_owned());
+    }
+    // SAFETY: as the caller promises. If a publisher writes to them, it is the copy of the header that counts.
+    let bytes = unsafe { slice::from_raw_parts(bytes.cast(), len) };
+    let header = Header::copied(bytes).map_err(|error| error.to_string())?;
+    let sweep = SweepRef::with_header(&header, bytes).map_err(|error| error.to_string())?;
+    Ok(sweep.obstacle(zone, least.copied().unwrap_or_default()))
+}
+
+/// See `sweepd.h`.
+///
+/// # Safety
+/// `bytes` is NULL or has `len` bytes, `zone` is NULL or a zone, so is `least`, and `to` is NULL or has room for an
+/// obstacle.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sweepd_find_obstacle(
+    bytes: *const c_void,
+    len: usize,
+    zone: *const Zone,
+    least: *const LeastReturns,
+    to: *mut Obstacle,
+) -> i32 {
+    caught(-1, || {
+        // SAFETY: as the caller promises.
+        let found = unsafe { obstacle(bytes, len, zone, least) }?;
+        if let (Some(found), false) = (found, to.is_null()) {
+            // SAFETY: as the caller promises.
+            unsafe { to.write(found) };
+        }
+        Ok(found.is_some().into())
+    })
 }

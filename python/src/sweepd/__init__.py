@@ -1,7 +1,7 @@
 """The sweeps of a Velodyne that sweepd shares on this host, or makes of a capture, as NumPy arrays.
 
     for sweep in sweepd.Client("roof"):                      # a running daemon
-        obstacles = sweep.points("robot")[sweep.label >= 2]  # metres
+        things = sweep.points("robot")[sweep.label >= 2]     # metres
 
     for sweep in sweepd.replay("capture.pcap"):              # a capture
         nearest_m = sweep.segments["nearest_m"].min(initial=float("inf"))
@@ -20,10 +20,11 @@ from ._header import ROS
 from ._library import sensors
 from ._objects import Objects, ObjectsMessage
 from ._replay import replay
-from ._sweep import Sweep
+from ._sweep import Obstacle, Sweep
 from .layout import LayoutError, SweepdError
 
 __version__ = "0.3.0"
 __all__ = [
-    "ROS", "Client", "LayoutError", "Objects", "ObjectsMessage", "Sweep", "SweepdError", "layout", "replay", "sensors",
+    "ROS", "Client", "LayoutError", "Objects", "ObjectsMessage", "Obstacle", "Sweep", "SweepdError", "layout", "replay",
+    "sensors",
 ]  # fmt: skip

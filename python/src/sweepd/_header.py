@@ -50,6 +50,16 @@ class Headed:
         pose[:3, 3] = self.header["position_m"]
         return pose
 
+    @property
+    def floor_m(self) -> float | None:
+        """Height of the floor in the frame of the robot, metres.
+
+        As far below the sensor as its height says, and never above the origin.
+        `None` while neither the height nor a `z_m` over 0 is known.
+        """
+        up_m, height_m = float(self.header["position_m"][2]), float(self.header["height_m"])
+        return min(up_m - height_m, 0.0) if up_m > 0 or height_m > 0 else None
+
     def _boxes(self, segments: NDArray[np.void], frame: Frame) -> Floats:
         """The boxes of segments in a frame: (segments, 2, 3)."""
         ends = np.stack([segments["min_m"], segments["max_m"]], axis=1).astype(float)

@@ -34,6 +34,7 @@ _FUNCTIONS = {
     "sweepd_client_attribute": (_SIZE, _POINTER, _TEXT, _TEXT, _SIZE),
     "sweepd_sensors": (_SIZE, _TEXT, _TEXT, _SIZE),
     "sweepd_client_close": (None, _POINTER),
+    "sweepd_find_obstacle": (ctypes.c_int32, _POINTER, _SIZE, _POINTER, _POINTER, _POINTER),
 }
 
 
@@ -62,6 +63,10 @@ def library() -> ctypes.CDLL:
             "one version of sweepd"
         )
     for function, (gives, *given) in _FUNCTIONS.items():
+        if not hasattr(loaded, function):
+            raise SweepdError(
+                f"{name} has no {function}: it is older than this package; install both of one version of sweepd"
+            )
         getattr(loaded, function).restype, getattr(loaded, function).argtypes = gives, given
     return loaded
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Union
+from typing import TYPE_CHECKING, Any, Callable, NamedTuple, Union
 
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _show, layout
+from . import _library, _show, layout
 from ._header import Floats, Frame, Headed
-from .layout import BEAM, COLUMN, SEGMENT, SEGMENT_WIDE
+from .layout import BEAM, COLUMN, SEGMENT, SEGMENT_WIDE, SweepdError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 XYZ = tuple[Floats, Floats, Floats]
 PoseAt = Union[Floats, Callable[[NDArray[np.int64]], Floats]]
@@ -19,8 +22,21 @@ FLAGS = (
     "PARTIAL", "REVERSED", "BLANKED", "RATE_UNSTABLE", "STOPPED", "BLIND", "COVERED", "FROZEN", "FADED", "DARK_BELOW",
 )  # fmt: skip
 ALL = slice(None)
+# `sweepd_obstacle` of sweepd.h.
+FOUND = np.dtype([("distance_m", "<f8"), ("returns", "<u4"), ("label", "<u4")])
 # What is computed at once: 64 KiB an array of f64.
 BLOCK_PIXELS = 1 << 13
+
+
+class Obstacle(NamedTuple):
+    """The nearest obstacle in a zone."""
+
+    # From the robot's origin to its nearest return, along the floor, metres.
+    distance_m: float
+    # Those of its label in the zone; without label, those in groups that are large enough.
+    returns: int
+    # Of its nearest return: 0, or of a segment.
+    label: int
 
 
 class Sweep(Headed):
@@ -187,6 +203,32 @@ class Sweep(Headed):
         `frame` as in `points`. In another frame than the sensor's it is the box around the box.
         """
         return self._boxes(self.segments, frame)
+
+    def obstacle(
+        self, least_m: Sequence[float] | Floats, most_m: Sequence[float] | Floats, *, labelled: int = 3, unlabelled: int = 4
+    ) -> Obstacle | None:
+        """Give the nearest obstacle in a zone, or `None`.
+
+        The zone is a box in the frame of the robot that stands on the floor: least x, y, z and greatest, metres: x right,
+        y ahead, z up from the floor (`floor_m`). Where the floor is not known, all that is over and under it counts.
+
+        An obstacle has `labelled` returns of segments, of whichever, together, or `unlabelled` returns without label, at
+        most 16, that are neighbours in the image and in range, two of a pixel once. `None` does not mean that nothing is
+        there: a low or thin thing may have no return, and a sensor that does not see has `layout.NOT_SEEING`. Returns that
+        a mask or the limits of range keep out of segments have no label, and so can be an obstacle.
+
+        Raises `SweepdError` for a zone that is no box.
+        """
+        zone, least = np.array([least_m, most_m], dtype=float), np.array([labelled, unlabelled])
+        if zone.shape != (2, 3) or least.min() < 0:
+            raise ValueError("a zone is two triples of numbers, and no count of returns is less than 0")
+        least, found = least.astype(np.uint32), np.zeros((), FOUND)
+        is_found = _library.library().sweepd_find_obstacle(
+            self._data.ctypes.data, self._data.nbytes, zone.ctypes.data, least.ctypes.data, found.ctypes.data
+        )
+        if is_found < 0:
+            raise SweepdError(_library.error())
+        return Obstacle(*found.item()) if is_found else None
 
     def _moved(self, stored: NDArray[np.float32], poses: list[Floats]) -> Floats:
         """The points of a plane, moved by one pose after another: (columns, rows, 3)."""
