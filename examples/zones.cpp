@@ -1,17 +1,17 @@
-// Tells when something comes into a zone, a box in the robot's frame, and when it is gone: zones SENSOR.
+// Tells when an obstacle comes into a zone, a box on the floor in the robot's frame, and when it is gone: zones SENSOR.
 // Silence does not mean that a zone is free: docs/segmentation.md says which things are seen.
 #include "sweepd.hpp"
 #include <cstdio>
 
 struct Zone {
     const char* name;
-    double least_m[3], most_m[3];
+    sweepd_zone box;
     int empty; // sweeps
 };
-// Least and greatest x (right), y (ahead) and z (up), metres. They reach below the ground, which is no thing.
-static Zone zones[] = {{"ahead", {-1.0, 0.5, -5.0}, {1.0, 5.0, 2.0}, 3}, {"left", {-3.0, -1.0, -5.0}, {-1.0, 1.0, 2.0}, 3}};
-// Fewest returns of a thing, and sweeps without them after which it is gone.
-constexpr int least_returns = 3, gone = 3;
+// Least and greatest x (right), y (ahead) and z (up from the floor), metres.
+static Zone zones[] = {{"ahead", {{-1.0, 0.5, 0.05}, {1.0, 5.0, 2.0}}, 3}, {"left", {{-3.0, -1.0, 0.05}, {-1.0, 1.0, 2.0}}, 3}};
+// Sweeps without an obstacle after which it is gone.
+constexpr int gone = 3;
 
 int main(int argc, char** argv) try {
     if (argc != 2) throw sweepd::Error("which sensor?");
@@ -19,19 +19,13 @@ int main(int argc, char** argv) try {
         const auto sweep = client.next(std::chrono::seconds(1));
         if (!sweep) std::fprintf(stderr, "nothing is heard of %s\n", argv[1]);
         if (!sweep) continue;
-        if (sweep->header().height_m == 0) std::fprintf(stderr, "there are no objects before the height of %s is known\n", argv[1]);
-        const sweepd_pose mount = sweepd_mount(&sweep->header());
+        const bool is_known = sweep->header().height_m != 0;
+        if (!is_known) std::fprintf(stderr, "the height of %s is not known yet, nor is what is ground\n", argv[1]);
+        if (!is_known) continue;
         for (Zone& zone : zones) {
-            int returns = 0;
-            for (const sweepd::Return& one : sweep->returns()) {
-                double at_m[3], point_m[3] = {one.x, one.y, one.z};
-                sweepd_apply(&mount, point_m, at_m);
-                bool is_in = one.label >= SWEEPD_LABEL_FIRST_SEGMENT;
-                for (int i = 0; i < 3; ++i) is_in &= zone.least_m[i] < at_m[i] && at_m[i] < zone.most_m[i];
-                returns += is_in;
-            }
-            if (returns >= least_returns && zone.empty >= gone) std::printf("%s: occupied\n", zone.name);
-            zone.empty = returns >= least_returns ? 0 : zone.empty + 1;
+            const bool is_occupied = sweep->obstacle(zone.box).has_value();
+            if (is_occupied && zone.empty >= gone) std::printf("%s: occupied\n", zone.name);
+            zone.empty = is_occupied ? 0 : zone.empty + 1;
             if (zone.empty == gone) std::printf("%s: empty\n", zone.name);
             std::fflush(stdout);
         }

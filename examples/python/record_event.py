@@ -1,4 +1,4 @@
-"""Records for 10 s when something comes into a box ahead of the robot: record_event.py SENSOR [SECONDS].
+"""Records for 10 s when an obstacle comes into a box ahead of the robot: record_event.py SENSOR [SECONDS].
 
 The daemon writes event_TIME.pcap into this folder, if it may (docs/install.md), with what comes from then on.
 """
@@ -7,13 +7,10 @@ import subprocess
 import sys
 import time
 
-import numpy as np
 import sweepd
 
-# Least and greatest x (right), y (ahead) and z (up), metres. It reaches below the ground, which is no thing.
-LEAST_M, MOST_M = [-1, 0.5, -5], [1, 5, 2]
-# Fewest returns of a thing.
-RETURNS = 3
+# Least and greatest x (right), y (ahead) and z (up from the floor), metres.
+LEAST_M, MOST_M = [-1, 0.5, 0.05], [1, 5, 2]
 
 if len(sys.argv) < 2:
     sys.exit(__doc__)
@@ -26,10 +23,8 @@ try:
             print(f"nothing is heard of {sensor}", file=sys.stderr, flush=True)
             continue
         if sweep.header["height_m"] == 0:
-            print(f"there are no objects before the height of {sensor} is known", file=sys.stderr, flush=True)
-        labels = [sweep.label] if sweep.label2 is None else [sweep.label, sweep.label2]
-        things = np.concatenate([sweep.points("robot", other=i > 0)[label >= 2] for i, label in enumerate(labels)])
-        if ((things > LEAST_M) & (things < MOST_M)).all(axis=1).sum() >= RETURNS:
+            print(f"the height of {sensor} is not known yet, nor is what is ground", file=sys.stderr, flush=True)
+        elif sweep.obstacle(LEAST_M, MOST_M) is not None:
             file = f"event_{time.time_ns() // 1_000_000}.pcap"
             print(f"recording {file}", flush=True)
             command = ["sweepd", "record", "--from", sensor, "-o", file, "--seconds", *(seconds or ["10"])]

@@ -1,17 +1,16 @@
-"""Tells when something comes into a zone, a box in the robot's frame, and when it is gone: zones.py SENSOR.
+"""Tells when an obstacle comes into a zone, a box on the floor in the robot's frame, and when it is gone: zones.py SENSOR.
 
 Silence does not mean that a zone is free: docs/segmentation.md says which things are seen.
 """
 
 import sys
 
-import numpy as np
 import sweepd
 
-# Least and greatest x (right), y (ahead) and z (up), metres. They reach below the ground, which is no thing.
-ZONES_M = {"ahead": ([-1, 0.5, -5], [1, 5, 2]), "left": ([-3, -1, -5], [-1, 1, 2])}
-# Fewest returns of a thing, and sweeps without them after which it is gone.
-RETURNS, GONE = 3, 3
+# Least and greatest x (right), y (ahead) and z (up from the floor), metres.
+ZONES_M = {"ahead": ([-1, 0.5, 0.05], [1, 5, 2]), "left": ([-3, -1, 0.05], [-1, 1, 2])}
+# Sweeps without an obstacle after which it is gone.
+GONE = 3
 
 if len(sys.argv) < 2:
     sys.exit(__doc__)
@@ -25,11 +24,10 @@ try:
             print(f"nothing is heard of {sensor}", file=sys.stderr, flush=True)
             continue
         if sweep.header["height_m"] == 0:
-            print(f"there are no objects before the height of {sensor} is known", file=sys.stderr, flush=True)
-        labels = [sweep.label] if sweep.label2 is None else [sweep.label, sweep.label2]
-        things = np.concatenate([sweep.points("robot", other=i > 0)[label >= 2] for i, label in enumerate(labels)])
+            print(f"the height of {sensor} is not known yet, nor is what is ground", file=sys.stderr, flush=True)
+            continue
         for zone, (least_m, most_m) in ZONES_M.items():
-            is_occupied = ((things > least_m) & (things < most_m)).all(axis=1).sum() >= RETURNS
+            is_occupied = sweep.obstacle(least_m, most_m) is not None
             if is_occupied and empty[zone] >= GONE:
                 print(f"{zone}: occupied", flush=True)
             empty[zone] = 0 if is_occupied else empty[zone] + 1

@@ -5,18 +5,19 @@ use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use sweepd::client::Client;
 use sweepd::publish::Loans;
 use sweepd::sweep::layout::is_return;
-use sweepd::sweep::objects::{ObjectsHeader, flags};
-use sweepd::sweep::{Pose, SweepMut, SweepRef};
-use zerocopy::{FromBytes, IntoBytes};
+use sweepd::sweep::objects::ObjectsHeader;
+use sweepd::sweep::{BeamRow, Column, Header, Pose, SweepMut, SweepRef};
+use zerocopy::{FromBytes, FromZeros, IntoBytes};
 
 use super::common::library::{compile, library, rust_example};
-use super::common::{python_with_numpy, temp_domain};
-use super::python::{Talk, loans, numbered, publish};
+use super::common::{python_package, python_with_numpy, temp_domain};
+use super::pallet::{start_stop, stop_commands};
+use super::python::{LIMIT, Talk, loans, numbered, publish};
 use super::sweeps::Source;
 use super::{folder, objects, of_project};
 use sweepd_lab::testkit::TempDomain;
@@ -201,101 +202,145 @@ fn consumers_print_a_line_an_object() {
     }
 }
 
+/// Sends a sweep, in which the sensor is 1.5 m over the floor and the robot's origin 0.5 m under it: of a
+/// model and with these flags, and with so many returns of a segment 2.5 m straight ahead. Gives the
+/// number of its consumers.
+fn publish_returns(loans: &mut Loans, header: &Header, returns: usize) -> usize {
+    let mut slot = numbered(loans, header.sequence);
+    let sweep = SweepMut::open(slot.as_mut()).unwrap();
+    (sweep.header.model, sweep.header.flags) = (header.model, header.flags);
+    (sweep.header.height_m, sweep.header.position_m[2]) = (header.height_m, 1.0);
+    sweep.header.columns = returns as u32;
+    sweep.beams.fill(BeamRow::ideal(0, 0.0, 0));
+    sweep.columns.fill(Column::measured(0, 0, 0.0, 0.0, 0));
+    sweep.range.fill(0.0);
+    for column in 0..returns {
+        (sweep.range[16 * column], sweep.label[16 * column]) = (2.5, 2);
+    }
+    slot.publish().unwrap()
+}
+
+/// The header of a sweep of which nothing is said.
+fn quiet() -> Header {
+    let mut header = Header::new_zeroed();
+    (header.model, header.height_m) = (1, 1.5);
+    header
+}
+
+const SILENCE: &str = "stop: nothing is heard of roof";
+
 #[test]
-#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
-fn stop_is_said_of_what_is_in_the_box_and_while_nothing_is_known() {
-    const SILENCE: &str = "stop: nothing is heard of roof";
-    const UNKNOWN: &str = "stop: the height of roof is not known yet";
-    let (rust, python) = (rust_example("stop"), python_with_numpy());
-    let script = of_project("examples/python/stop.py");
-    let mut unknown = objects::honest();
-    let (header, _) = ObjectsHeader::mut_from_prefix(unknown.as_mut_bytes()).unwrap();
-    (header.objects, header.labels) = (0, 0);
-    header.flags = flags::LAST | flags::NO_HEIGHT;
-    for program in [&[rust.as_os_str()][..], &[&python, script.as_os_str()]] {
+#[cfg_attr(
+    any(without_python, without_compilers),
+    ignore = "no SWEEPD_PYTHON, or no compilers"
+)]
+fn stop_is_said_of_what_is_in_the_way_and_while_nothing_is_known() {
+    for (command, blind) in stop_commands()
+        .into_iter()
+        .zip(["roof: blind: ", "0x100", "0x100"])
+    {
         let own = temp_domain();
-        let mut loans = objects::loans(&own);
-        let root = format!("SWEEPD_ROOT={}", own.root().display());
-        let args = [&[root.as_ref()], program, &["roof".as_ref()]].concat();
-        let mut stop = Talk::start("env".as_ref(), &args);
-        publish_until_there(&mut loans, objects::message(&unknown));
-        let lines = || std::iter::repeat_with(|| stop.line());
-        assert!(lines().find(|line| line != SILENCE).as_deref() == Some(UNKNOWN));
-        // Of three objects two are in the box. Where the robot's origin is in the sensor, 1.5 m over
-        // the floor, they are too.
-        let mut hanging = objects::honest();
-        let (header, _) = ObjectsHeader::mut_from_prefix(hanging.as_mut_bytes()).unwrap();
-        header.position_m[2] = 0.0;
-        for message in [objects::honest(), hanging] {
-            objects::publish(&mut loans, objects::message(&message));
-            let said = lines().filter(|line| line != SILENCE && line != UNKNOWN);
-            for (nearest_m, said) in ["2.50", "3.50"].into_iter().zip(said) {
-                let age = said.strip_prefix(&format!("stop: an object at {nearest_m} m, seen "));
-                let age = age.and_then(|age| age.strip_suffix(" ms ago"));
-                assert!(is_recent(age), "{said}");
-            }
-        }
+        let mut loans = loans(&own);
+        let mut stop = start_stop(&command, own.root().as_os_str(), &["1", "3"]);
         assert_eq!(stop.line(), SILENCE);
-        // Where the floor is must be known.
-        let mut floor = unknown.clone();
-        let (header, _) = ObjectsHeader::mut_from_prefix(floor.as_mut_bytes()).unwrap();
-        (header.flags, header.position_m[2]) = (flags::LAST, 0.0);
-        header.height_m = 0.0;
-        objects::publish(&mut loans, objects::message(&floor));
-        let said = lines().find(|line| line != SILENCE);
-        assert!(said.is_some_and(|said| said.contains("no z_m")));
+        let mut header = quiet();
+        while publish_returns(&mut loans, &header, 0) == 0 {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        // One after the other, however long the machine was silent in between.
+        for (change, returns, words) in [
+            ((1, 0, 1.5), 3, "stop: an obstacle at 2.50 m, sweep 1"),
+            ((1, 0, 0.0), 3, "stop: the height of roof is not known yet"),
+            ((1, 0x100, 1.5), 0, blind),
+            ((2, 0, 1.5), 2, "stop: roof is of model 2, not 1"),
+            ((1, 0, 1.5), 4, "stop: an obstacle at 2.50 m, sweep 5"),
+        ] {
+            header.sequence += 1;
+            (header.model, header.flags, header.height_m) = change;
+            publish_returns(&mut loans, &header, returns);
+            let mut said = std::iter::repeat_with(|| stop.line());
+            let said = said.find(|line| line != SILENCE).unwrap();
+            assert!(said.contains(words), "{said}, not {words}");
+        }
+        // Two returns are none.
+        header = quiet();
+        publish_returns(&mut loans, &header, 2);
+        while let Some(line) = stop.try_line(Duration::from_millis(100)) {
+            assert_eq!(line, SILENCE);
+        }
+        assert_eq!(stop.line(), SILENCE, "of a sensor that is off");
         interrupt(&mut stop);
     }
 }
 
-/// Sends an empty sweep of a model with these flags, and gives the number of its consumers.
-fn publish_flags(loans: &mut Loans, sequence: u64, model: u32, bits: u32) -> usize {
-    let mut slot = numbered(loans, sequence);
-    let sweep = SweepMut::open(slot.as_mut()).unwrap();
-    (sweep.header.model, sweep.header.flags) = (model, bits);
-    slot.publish().unwrap()
+/// Objects are a hint, and do not make up for sweeps that stay away.
+#[test]
+#[cfg_attr(
+    any(without_python, without_compilers),
+    ignore = "no SWEEPD_PYTHON, or no compilers"
+)]
+fn objects_in_the_way_are_told_as_not_confirmed() {
+    for command in stop_commands() {
+        let own = temp_domain();
+        let mut loans = objects::loans(&own);
+        let mut stop = start_stop(&command, own.root().as_os_str(), &[]);
+        publish_until_there(&mut loans, objects::message(&objects::honest()));
+        // Of three objects two are in the way. Where the robot's origin is in the sensor, 1.5 m over
+        // the floor, they are too.
+        let mut hanging = objects::honest();
+        let (header, _) = ObjectsHeader::mut_from_prefix(hanging.as_mut_bytes()).unwrap();
+        header.position_m[2] = 0.0;
+        for message in [None, Some(hanging)] {
+            if let Some(message) = message {
+                objects::publish(&mut loans, objects::message(&message));
+            }
+            let said = std::iter::repeat_with(|| stop.line()).filter(|line| line != SILENCE);
+            for (nearest_m, said) in ["2.50", "3.50"].into_iter().zip(said) {
+                let begins = format!("object ahead, not confirmed: {nearest_m} m away, seen ");
+                let age = said.strip_prefix(&begins);
+                let age = age.and_then(|age| age.strip_suffix(" ms ago"));
+                assert!(is_recent(age), "{said}");
+            }
+        }
+        let (begun, mut is_told) = (Instant::now(), false);
+        while !is_told {
+            objects::publish(&mut loans, objects::message(&objects::honest()));
+            std::thread::sleep(Duration::from_millis(50));
+            while let Some(line) = stop.try_line(Duration::ZERO) {
+                is_told |= line == SILENCE;
+            }
+            assert!(begun.elapsed() < LIMIT, "objects alone are enough");
+        }
+        interrupt(&mut stop);
+    }
 }
 
 #[test]
-#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
-fn stop_is_said_of_a_sensor_that_does_not_see_and_of_another() {
-    let (rust, python) = (rust_example("stop"), python_with_numpy());
-    let script = of_project("examples/python/stop.py");
-    for (program, blind) in [
-        (&[rust.as_os_str()][..], "stop: roof: blind: "),
-        (&[&python, script.as_os_str()], "flags are 0x100"),
-    ] {
-        let own = temp_domain();
-        let (mut sweeps, mut told) = (loans(&own), objects::loans(&own));
-        let root = format!("SWEEPD_ROOT={}", own.root().display());
-        let args = [&[root.as_ref()], program, &["roof".as_ref()]].concat();
-        let mut stop = Talk::start("env".as_ref(), &args);
-        let mut is_there = false;
-        for sequence in 0..1000 {
-            is_there = publish_flags(&mut sweeps, sequence, 1, 0) == 1;
-            objects::publish(&mut told, objects::message(&objects::honest()));
-            if is_there {
-                break;
-            }
-            std::thread::sleep(Duration::from_millis(20));
+#[cfg_attr(
+    any(without_python, without_compilers),
+    ignore = "no SWEEPD_PYTHON, or no compilers"
+)]
+fn stop_refuses_a_way_that_is_none() {
+    for command in stop_commands() {
+        let (program, rest) = command.split_first().unwrap();
+        for args in [
+            &["-1"][..],
+            &["2", "0.4"],
+            &["nan"],
+            &["x"],
+            &["2", "5", "VLP-16"],
+        ] {
+            let mut command = Command::new(program);
+            command
+                .args(rest)
+                .arg("roof")
+                .args(args)
+                .envs(python_package());
+            let output = command.output().unwrap();
+            let said = String::from_utf8_lossy(&output.stderr);
+            let is_clear = said.contains("WIDTH") || said.contains("invalid");
+            assert!(!output.status.success() && is_clear, "{args:?}: {said}");
         }
-        assert!(is_there);
-        for (model, bits, words) in [(1, 0x100, blind), (2, 0, "is of model 2, not 1")] {
-            publish_flags(&mut sweeps, 1000, model, bits);
-            objects::publish(&mut told, objects::message(&objects::honest()));
-            let said = std::iter::repeat_with(|| stop.line());
-            assert!(said.take(100).any(|line| line.contains(words)), "{words}");
-        }
-        // Objects alone are not enough.
-        let mut has_said = false;
-        for _ in 0..20 {
-            objects::publish(&mut told, objects::message(&objects::honest()));
-            while let Some(line) = stop.try_line(Duration::from_millis(50)) {
-                has_said |= line == "stop: nothing is heard of roof";
-            }
-        }
-        assert!(has_said);
-        interrupt(&mut stop);
     }
 }
 

@@ -1,14 +1,16 @@
-//! Records for 10 s when something comes into a box ahead of the robot: `record_event SENSOR [SECONDS]`. The daemon
+//! Records for 10 s when an obstacle comes into a box ahead of the robot: `record_event SENSOR [SECONDS]`. The daemon
 //! writes event_TIME.pcap into this folder, if it may (docs/install.md), with what comes from then on.
 
 use std::process::Command;
 use std::time::{Duration, SystemTime};
-use sweepd_client::{client::Client, sweep::Frame};
+use sweepd_client::client::Client;
+use sweepd_client::sweep::{LeastReturns, Zone};
 
-/// Least and greatest x (right), y (ahead) and z (up), metres. It reaches below the ground, which is no thing.
-const BOX_M: [[f64; 3]; 2] = [[-1.0, 0.5, -5.0], [1.0, 5.0, 2.0]];
-/// Fewest returns of a thing.
-const RETURNS: usize = 3;
+/// Least and greatest x (right), y (ahead) and z (up from the floor), metres.
+const ZONE: Zone = Zone {
+    least_m: [-1.0, 0.5, 0.05],
+    most_m: [1.0, 5.0, 2.0],
+};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let sensor = std::env::args().nth(1).ok_or("which sensor?")?;
@@ -21,11 +23,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         };
         let view = sweep.view()?;
         if view.header.height_m == 0.0 {
-            eprintln!("there are no objects before the height of {sensor} is known");
-        }
-        let things = view.points(Frame::Robot).filter(|one| one.label >= 2);
-        let is_in = |at: [f64; 3]| (0..3).all(|i| BOX_M[0][i] < at[i] && at[i] < BOX_M[1][i]);
-        if things.filter(|one| is_in(one.point_m)).count() >= RETURNS {
+            eprintln!("the height of {sensor} is not known yet, nor is what is ground");
+        } else if view.obstacle(&ZONE, LeastReturns::default()).is_some() {
             let time_ms = SystemTime::UNIX_EPOCH.elapsed()?.as_millis();
             let file = format!("event_{time_ms}.pcap");
             println!("recording {file}");

@@ -1,84 +1,88 @@
-//! Says "stop" while the box of an object reaches into a box ahead of the robot, and how old its
-//! newest return is:
+//! Says "stop" while an obstacle is in the way: in a box ahead of the robot that stands on the floor.
 //!
-//!     cargo run --release -p sweepd-client --example stop -- roof [MODEL]
+//!     cargo run --release -p sweepd-client --example stop -- SENSOR [WIDTH [LENGTH [MODEL]]]
 //!
-//! It also says so while sweeps stay away for 0.3 s, while the sensor does not see what it should, and
-//! of a sweep of another model: a number of docs/layout.md, by default that of the first sweep.
+//! The way is WIDTH wide and LENGTH long, metres, from the robot's origin; it begins 0.5 m ahead and
+//! goes from 5 cm to 2 m over the floor. "stop" is also said while sweeps stay away for 0.3 s, while
+//! the sensor does not see what it should or its height is not known, and of a sweep of another model:
+//! a number of docs/layout.md, by default that of the first sweep.
 //!
-//! The box stands on the floor. In the robot's frame the sensor is `z_m` of `[sensor.mount]` over
-//! the origin, and over the floor its height, configured as `height_m` or estimated: the floor is
-//! where these say, but never above the origin. **No output does not mean that the way is free.** What lies nearer
-//! than the lowest beam, or than the box, is not seen any more. What one row alone strikes can be
-//! ground, and so can a low thing that is deeper than 1 m, or a pallet. Holes and steps down are no
-//! objects. `cargo run --release --example obstacles` prints what is seen by sensor, height and
-//! distance.
+//! "stop" takes whole sweeps. "object ahead, not confirmed" comes earlier, while the head turns: the
+//! box of an object reaches into the way. So does that of a wall beside it: slow down, do not stop.
+//!
+//! **No output does not mean that the way is free.** What lies nearer than the lowest beam, or than
+//! the way, is not seen any more. What one row alone strikes can be ground, and so can a low thing that
+//! is deeper than 1 m, or a pallet. Holes and steps down are no obstacles. `cargo run --release
+//! --example obstacles` prints what is seen by sensor, height and distance.
 
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 
-use sweepd_client::client::Client;
-use sweepd_client::sweep::eye::eye_sentence;
-use sweepd_client::sweep::objects::flags;
-use sweepd_client::sweep::{Frame, Header};
-
-/// The box, least and greatest x (right), y (ahead) and z (up from the floor), metres.
-const STOP_M: [[f64; 3]; 2] = [[-1.0, 0.5, 0.05], [1.0, 5.0, 2.0]];
+use sweepd_client::sweep::{Frame, LeastReturns, SweepRef, Zone};
+use sweepd_client::sweep::{eye::eye_sentence, objects::ObjectsRef};
+use sweepd_client::{client::Client, host::realtime_ns};
 
 /// A sensor that is well gives a sweep at least this often: it turns five times a second or faster.
 const SILENCE: Duration = Duration::from_millis(300);
 
-/// Says "stop" if the sensor of a sweep is not of the model, or does not see.
-fn look(name: &str, header: &Header, model: u32) {
+/// Says why the robot must stop by a whole sweep.
+fn sweep_says(name: &str, sweep: &SweepRef<'_>, way: &Zone, model: u32) {
+    let header = sweep.header;
     if header.model != model {
         println!("stop: {name} is of model {}, not {model}", header.model);
     }
     if let Some(sentence) = eye_sentence(header.flags) {
         println!("stop: {name}: {sentence}");
     }
+    if header.height_m == 0.0 {
+        println!("stop: the height of {name} is not known yet, nor is what is ground");
+    } else if let Some(found) = sweep.obstacle(way, LeastReturns::default()) {
+        let (at_m, number) = (found.distance_m, header.sequence);
+        println!("stop: an obstacle at {at_m:.2} m, sweep {number}");
+    }
+}
+
+/// Says which objects may be in the way.
+fn objects_say(message: &ObjectsRef<'_>, way: &Zone) {
+    let way = way.on_floor(message.header.floor_m());
+    let since_ns = realtime_ns().saturating_sub(message.header.time_ns);
+    for (object, bounds_m) in message.objects.iter().zip(message.boxes(Frame::Robot)) {
+        // A box says nothing of what is inside it. What is so wide that it says nothing at all is to be
+        // skipped here.
+        if way.meets(bounds_m) {
+            let (at_m, last_ns) = (object.segment.nearest_m, i64::from(object.last_ns));
+            let age_ms = since_ns.saturating_sub(last_ns) / 1_000_000;
+            println!("object ahead, not confirmed: {at_m:.2} m away, seen {age_ms} ms ago");
+        }
+    }
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let name = std::env::args().nth(1).ok_or("which sensor?")?;
-    let mut model: Option<u32> = std::env::args()
-        .nth(2)
-        .map(|code| code.parse())
-        .transpose()?;
-    let mut client = Client::new(&name)?;
-    let mut objects = client.objects()?;
-    let mut heard: Option<Instant> = None;
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    let text = |at: usize, absent| args.get(at).map_or(absent, String::as_str);
+    let numbers = [text(1, "2"), text(2, "5"), text(3, "0")];
+    let [width_m, length_m, code] = numbers.map(|text| text.parse().unwrap_or(f64::NAN));
+    let (least_m, most_m) = ([-width_m / 2.0, 0.5, 0.05], [width_m / 2.0, length_m, 2.0]);
+    let way = Zone { least_m, most_m };
+    if args.is_empty() || !way.is_box() || code.is_nan() {
+        return Err("SENSOR [WIDTH [LENGTH [MODEL]]]: WIDTH is at least 0 and LENGTH 0.5, metres; MODEL is a number of docs/layout.md".into());
+    }
+    let mut model = code as u32;
+    let mut client = Client::new(&args[0])?;
+    let (mut objects, mut heard) = (client.objects()?, Instant::now());
     loop {
-        let message = objects.next(SILENCE)?.received();
+        // Not longer, as a sweep may come meanwhile.
+        if let Some(message) = objects.next(Duration::from_millis(10))?.received() {
+            objects_say(&message.view()?, &way);
+        }
         while let Some(sweep) = client.next(Duration::ZERO)?.received() {
-            heard = Some(Instant::now());
-            let header = sweep.view()?.header;
-            look(&name, header, *model.get_or_insert(header.model));
+            let view = sweep.view()?;
+            model = if model == 0 { view.header.model } else { model };
+            sweep_says(&args[0], &view, &way, model);
+            heard = Instant::now();
         }
-        if message.is_none() || heard.is_none_or(|heard| heard.elapsed() > SILENCE) {
-            println!("stop: nothing is heard of {name}");
-        }
-        let Some(message) = message else { continue };
-        let view = message.view()?;
-        if view.header.flags & flags::NO_HEIGHT != 0 {
-            println!("stop: the height of {name} is not known yet");
-        }
-        let (up_m, height_m) = (view.header.position_m[2], view.header.height_m);
-        if up_m <= 0.0 && height_m <= 0.0 {
-            println!(
-                "stop: {name} has no z_m in [sensor.mount] and no height: where is the floor?"
-            );
-        }
-        let floor_m = (f64::from(up_m) - f64::from(height_m)).min(0.0);
-        // Parts too: a wide object is told in parts first.
-        for (object, [mut least_m, mut most_m]) in view.objects.iter().zip(view.boxes(Frame::Robot))
-        {
-            least_m[2] -= floor_m;
-            most_m[2] -= floor_m;
-            if (0..3).all(|at| least_m[at] < STOP_M[1][at] && most_m[at] > STOP_M[0][at]) {
-                let now_ns = SystemTime::UNIX_EPOCH.elapsed()?.as_nanos() as i64;
-                let age_ns = now_ns - (view.header.time_ns + i64::from(object.last_ns));
-                let (age_ms, nearest_m) = (age_ns as f64 * 1e-6, object.segment.nearest_m);
-                println!("stop: an object at {nearest_m:.2} m, seen {age_ms:.1} ms ago");
-            }
+        if heard.elapsed() > SILENCE {
+            println!("stop: nothing is heard of {}", args[0]);
+            heard = Instant::now();
         }
     }
 }
