@@ -42,7 +42,7 @@ pub struct Args {
     /// With --obstacle: a capture instead of live packets
     #[arg(value_name = "CAPTURE", requires = "obstacle", conflicts_with_all = ["ports", "bind", "multicast", "interface"])]
     capture: Option<PathBuf>,
-    /// Whether a box on the floor is an object of its own in 100 sweeps of a running daemon, or of
+    /// Whether a box on the floor is an obstacle in 100 sweeps of a running daemon, or of
     /// the packets that come: its height and its distance from the robot's origin, metres; its
     /// azimuth, degrees clockwise from straight ahead [default: 0]; its width, metres [default: 0.4]
     #[arg(

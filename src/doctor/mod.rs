@@ -8,7 +8,7 @@
 //! health    what a daemon says that holds a port
 //!               all of it Observations
 //! diagnose  Observations -> findings, worst first; pure
-//! obstacle  whether a box of known size and place is an object of its own
+//! obstacle  whether a box of known size and place is an obstacle
 //! ```
 
 pub mod diagnose;

@@ -1,8 +1,8 @@
-//! Whether a sensor on its robot sees a box of known size and place as an object of its own: pure.
+//! Whether a sensor on its robot sees a box of known size and place as an obstacle: pure.
 //!
 //! ```text
 //! place      sweep, floor -> returns and beams in the box's place
-//! Trial      sweeps, objects -> what becomes of the box, sweep by sweep
+//! Trial      sweeps, objects -> whether the box is an obstacle, and what becomes of it, sweep by sweep
 //! findings   Trial -> what to change
 //! ```
 
@@ -23,11 +23,11 @@ use sweepd_core::sweep::layout::{
     LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, TimeSource, flags,
 };
 use sweepd_core::sweep::objects::NewObjects;
-use sweepd_core::sweep::{Header, Pose, Return, SweepRef};
+use sweepd_core::sweep::{Header, LeastReturns, Pose, Return, SweepRef};
 
 /// Sweeps that are judged at most.
 pub const SWEEPS: u32 = 100;
-/// Percent of the sweeps in which the box must be an object of its own.
+/// Percent of the sweeps in which the box must be an obstacle.
 pub const ENOUGH_PERCENT: u32 = 95;
 
 /// A box that stands on the floor.
@@ -162,6 +162,8 @@ pub struct Trial {
     /// Sweeps in which the height of the sensor was not known yet.
     without_height: u32,
     seen: BTreeMap<Seen, u32>,
+    /// Sweeps in which the box is no obstacle, by what becomes of it.
+    missed: BTreeMap<Seen, u32>,
     /// Of each sweep with returns on the box: how many, their rows, the front, its middle to the
     /// right, and its range from the sensor.
     returns: Vec<f64>,
@@ -193,6 +195,7 @@ impl Trial {
             sweeps: 0,
             without_height: 0,
             seen: BTreeMap::new(),
+            missed: BTreeMap::new(),
             returns: Vec::new(),
             rows: Vec::new(),
             fronts_m: Vec::new(),
@@ -256,6 +259,11 @@ impl Trial {
         }
         let seen = self.judge(&returns, &strikes);
         *self.seen.entry(seen).or_default() += 1;
+        let zone = self.obstacle.zone();
+        let found = sweep.obstacle_in(&frame, &zone, LeastReturns::default());
+        if found.is_none() {
+            *self.missed.entry(seen).or_default() += 1;
+        }
     }
 
     /// The mount that is set. A header has the height also where it is estimated.
@@ -331,6 +339,7 @@ impl Trial {
         Report {
             obstacle: self.obstacle,
             sweeps: self.sweeps,
+            as_obstacle: self.sweeps - self.missed.values().sum::<u32>(),
             own: self.seen.get(&Seen::Own).copied().unwrap_or(0),
             seen: self.seen.clone(),
             returns: median(&self.returns),
@@ -354,6 +363,8 @@ pub struct Report {
     pub obstacle: Obstacle,
     /// Sweeps that were judged.
     pub sweeps: u32,
+    /// Sweeps in which the box is an obstacle: what stops a robot.
+    pub as_obstacle: u32,
     /// Sweeps in which the box is an object of its own.
     pub own: u32,
     /// Sweeps by what becomes of the box.
@@ -379,8 +390,8 @@ pub struct Report {
 }
 
 impl Report {
-    /// Whether the box is an object of its own often enough.
+    /// Whether the box is an obstacle often enough.
     pub fn is_well(&self) -> bool {
-        self.sweeps > 0 && 100 * self.own >= ENOUGH_PERCENT * self.sweeps
+        self.sweeps > 0 && 100 * self.as_obstacle >= ENOUGH_PERCENT * self.sweeps
     }
 }

@@ -111,6 +111,7 @@ fn a_box_that_is_seen_is_told_in_time() {
     assert_eq!((ran.code, &ran.stderr[..]), (0, ""), "{}", ran.stdout);
     let report: Value = serde_json::from_str(&ran.stdout).unwrap();
     assert_eq!(report["sweeps"], 100, "{report}");
+    assert_eq!(report["as_obstacle"], 100, "{report}");
     assert_eq!(report["own"], 100, "{report}");
     let number = |name: &str| report[name].as_f64().unwrap();
     // The front as it was placed; 0.4 m at 2 m are 11 degrees, 57 columns in each row.
@@ -135,9 +136,14 @@ fn a_wrong_mount_is_told_with_the_right_one() {
         "set the mount first",
     ];
     says("0.15,2", &low, -7.0, "", 1, &ground);
-    let floor = ["pitch_deg = -5", right, "one object with the floor"];
-    says(BOX, &room_with(Vec::new()), -5.0, "", 1, &floor);
     // It is seen all the same.
+    let floor = [
+        "warning: the mount",
+        "pitch_deg = -5",
+        right,
+        "note: in 19 of 19 sweeps it is one object with the floor",
+    ];
+    says(BOX, &room_with(Vec::new()), -5.0, "", 0, &floor);
     let seen = ["warning: the mount is set to ", "pitch_deg = -17", right];
     says(BOX, &room_with(Vec::new()), -17.0, "", 0, &seen);
 }
@@ -148,11 +154,12 @@ fn what_it_is_joined_with_is_told() {
     let wall = cuboid([0.0, 2.5], [4.0, 0.2, 1.0]);
     let scene = room_with(vec![wall]);
     let parts = [
-        "one object with something else, from 2.",
+        "note: in 19 of 19 sweeps it is one object with something else, from 2.",
         "left to",
         "0.65 m between",
+        "well: the box is an obstacle in 19 of 19 sweeps, 95 % are needed",
     ];
-    says(BOX, &scene, PITCH_DEG, "", 1, &parts);
+    says(BOX, &scene, PITCH_DEG, "", 0, &parts);
 }
 
 #[test]
@@ -168,20 +175,40 @@ fn a_box_that_is_elsewhere_is_missed() {
     says(BOX, &scene, PITCH_DEG, "", 1, &parts);
 }
 
+/// Without a label it is an obstacle all the same; removed, it is none.
 #[test]
 fn limits_that_cut_it_off_are_named() {
     let scene = room_with(Vec::new());
-    for (segment, part) in [
-        ("min_range_m = 3", "`min_range_m` of `[sensor.segment]`"),
-        ("max_range_m = 1.5", "`max_range_m` of `[sensor.segment]`"),
-        ("min_points = 5000", "a segment has 5000 at least"),
+    for (segment, code, part) in [
+        ("min_range_m = 3", 0, "`min_range_m` of `[sensor.segment]`"),
+        (
+            "max_range_m = 1.5",
+            0,
+            "`max_range_m` of `[sensor.segment]`",
+        ),
+        ("min_points = 5000", 0, "a segment has 5000 at least"),
         (
             "remove_boxes = [[-1, 1, -0.5, 1, 3, 0.5]]",
+            1,
             "`remove_boxes`",
         ),
     ] {
-        says(BOX, &scene, PITCH_DEG, segment, 1, &[part]);
+        says(BOX, &scene, PITCH_DEG, segment, code, &[part]);
     }
+}
+
+/// A wall behind the place of the box is not the box.
+#[test]
+fn what_stands_behind_its_place_is_no_obstacle() {
+    let scene = room(vec![cuboid([0.0, 2.5], [4.0, 0.2, 1.0])]);
+    says(
+        BOX,
+        &scene,
+        PITCH_DEG,
+        "",
+        1,
+        &["not well: the box is an obstacle in 0 of 19"],
+    );
 }
 
 #[test]
@@ -250,7 +277,7 @@ fn packets_that_come_are_judged() {
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
     let sweeps = report["sweeps"].as_u64().unwrap();
     assert!((8..=12).contains(&sweeps), "{report}");
-    assert_eq!(report["own"], sweeps, "{report}");
+    assert_eq!(report["as_obstacle"], sweeps, "{report}");
     assert_eq!(output.status.code(), Some(0));
 }
 
@@ -277,7 +304,7 @@ fn a_running_daemon_is_asked() {
     assert_eq!(report["sensor"], "roof, by the running daemon");
     let sweeps = report["sweeps"].as_u64().unwrap();
     assert!(sweeps >= 20, "{report}");
-    assert_eq!(report["own"], sweeps, "{report}");
+    assert_eq!(report["as_obstacle"], sweeps, "{report}");
     assert!(report["told"].as_u64().unwrap() >= 10, "{report}");
     let told_ms = report["told_ms"].as_f64().unwrap();
     assert!((0.0..100.0).contains(&told_ms), "{report}");

@@ -14,7 +14,7 @@ use crate::cli::sections::Sections;
 use crate::cli::stream::{print_json, printed};
 use crate::cli::{CliError, complain, warn_of};
 use crate::cure::{Dialect, explain};
-use crate::doctor::obstacle::{ENOUGH_PERCENT, Obstacle, Report, SWEEPS, Seen, Trial};
+use crate::doctor::obstacle::{ENOUGH_PERCENT, Obstacle, Report, SWEEPS, Trial};
 use crate::doctor::{Finding, Plan};
 use crate::input::{Capture, Placed, UdpSource};
 use crate::streams::{SteadyTime, Stream, Streams};
@@ -44,7 +44,7 @@ struct JsonReport<'a> {
 /// Tries the box, with the sweeps of a capture, of a running daemon, or of packets that come.
 ///
 /// # Errors
-/// [`CliError`]; [`CliError::Reported`] if the box is no object of its own, after that was printed.
+/// [`CliError`]; [`CliError::Reported`] if the box is no obstacle, after that was printed.
 pub(super) fn run(args: &Args, obstacle: Obstacle, plan: &Plan) -> Result<(), CliError> {
     let (sensor, trial) = try_out(args, obstacle, plan)?;
     let (report, findings) = (trial.report(), trial.findings());
@@ -309,15 +309,12 @@ fn print(sensor: &str, report: &Report, findings: &[Finding]) -> io::Result<()> 
     let mut stdout = io::stdout().lock();
     stdout.write_all(describe(sensor, report).as_bytes())?;
     print_findings(&mut stdout, findings)?;
-    let (own, sweeps) = (report.own, report.sweeps);
-    let needed = format!("{own} of {sweeps} sweeps, {ENOUGH_PERCENT} % are needed");
-    match report.is_well() {
-        true => writeln!(stdout, "well: the box is an object of its own in {needed}"),
-        false => writeln!(
-            stdout,
-            "not well: the box is an object of its own in {needed}"
-        ),
-    }
+    let well = if report.is_well() { "well" } else { "not well" };
+    writeln!(
+        stdout,
+        "{well}: the box is an obstacle in {} of {} sweeps, {ENOUGH_PERCENT} % are needed",
+        report.as_obstacle, report.sweeps
+    )
 }
 
 /// What was seen, line by line.
@@ -346,10 +343,7 @@ fn describe(sensor: &str, report: &Report) -> String {
         let told = format_args!("{told_ms:.1} ms after its last beam, at most {most_ms:.1} ms");
         row(&mut text, "as object", told);
     }
-    if let Some(ms) = report
-        .with_sweep_ms
-        .filter(|_| report.seen.contains_key(&Seen::Own))
-    {
+    if let Some(ms) = report.with_sweep_ms.filter(|_| report.as_obstacle > 0) {
         row(
             &mut text,
             "with sweep",

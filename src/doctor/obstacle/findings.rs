@@ -1,4 +1,4 @@
-//! What is wrong with a box that is no object of its own, and what to change.
+//! What is wrong with a box that is no obstacle, or no object of its own, and what to change.
 
 use super::{ENOUGH_PERCENT, Report, Seen, Trial};
 use crate::doctor::{Finding, Severity, Topic};
@@ -18,30 +18,36 @@ const MORE_ROWS: &str = "at least two rows must strike it, about 5 cm apart in h
                          the table \"The smallest obstacle\" of docs/segmentation.md says what each model sees";
 
 impl Trial {
-    /// What is wrong, and what to change: the mount, then what is most frequent. No errors where the
-    /// box is seen.
+    /// Returns what is wrong, and what to change: the mount, then what is most frequent. If the box is
+    /// an obstacle, that it is no object of its own is a note.
     pub fn findings(&self) -> Vec<Finding> {
         let report = self.report();
         if report.sweeps == 0 {
             return vec![self.nothing_judged()];
         }
         let mut findings: Vec<Finding> = self.mount().into_iter().collect();
-        if report.is_well() {
-            return findings;
-        }
         let first = match &findings[..] {
-            [mount] if mount.severity == Severity::Warning => "set the mount first; then,\n",
+            [mount] if mount.severity == Severity::Warning && !report.is_well() => {
+                "set the mount first; then,\n"
+            }
             _ => "",
         };
+        // What is rare is not why it fails.
+        let is_rare = |sweeps: u32| 100 * sweeps < (100 - ENOUGH_PERCENT) * report.sweeps;
         let mut others: Vec<(Seen, u32)> = report.seen.clone().into_iter().collect();
         others.sort_by_key(|&(_, sweeps)| std::cmp::Reverse(sweeps));
         for (seen, sweeps) in others {
-            // What is rare is not why it fails.
-            let is_rare = 100 * sweeps < (100 - ENOUGH_PERCENT) * report.sweeps;
-            if seen != Seen::Own && !is_rare {
+            let missed = self.missed.get(&seen).copied().unwrap_or_default();
+            let severity = match report.is_well() || is_rare(missed) {
+                true if seen == Seen::Own => continue,
+                true => Severity::Note,
+                false => Severity::Error,
+            };
+            if !is_rare(sweeps) {
                 let (why, cure) = self.explain(seen, &report);
                 let what = format!("in {sweeps} of {} sweeps {why}", report.sweeps);
-                findings.push(error(what, format!("{first}{cure}")));
+                let cure = format!("{first}{cure}");
+                findings.push(Finding::new(severity, Topic::Obstacle, what, cure));
             }
         }
         findings
@@ -78,7 +84,7 @@ impl Trial {
         Some(Finding::new(severity, Topic::Mount, what, cure))
     }
 
-    /// Why the box is no object of its own, and what to change.
+    /// Returns why the box is no obstacle, or no object of its own, and what to change.
     fn explain(&self, seen: Seen, report: &Report) -> (String, String) {
         let strike = format!(
             "{} in {}",
@@ -93,7 +99,11 @@ impl Trial {
                 MORE_ROWS.to_owned(),
             ),
             Seen::Unlabelled => self.unlabelled(&strike),
-            _ => (
+            Seen::Own => (
+                format!("too few of its returns ({strike}) have a label"),
+                MORE_ROWS.to_owned(),
+            ),
+            Seen::Pieces => (
                 format!("its returns ({strike}) are in several objects, or partly ground"),
                 MORE_ROWS.to_owned(),
             ),

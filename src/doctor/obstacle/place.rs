@@ -6,7 +6,7 @@
 use super::Obstacle;
 use sweepd_core::floor::Sight;
 use sweepd_core::sweep::layout::LABEL_GROUND;
-use sweepd_core::sweep::{Header, Pose, Return, SweepRef};
+use sweepd_core::sweep::{Header, Pose, Return, SweepRef, Zone};
 
 /// How far the front may be from where it should be, metres.
 const OFF_M: f64 = 0.25;
@@ -39,12 +39,20 @@ impl Obstacle {
         OFF_M.min(self.distance_m / 2.0)
     }
 
+    /// Returns the zone in which the front of the box should be: what is farther back stands behind it.
+    pub(super) fn zone(&self) -> Zone {
+        let (half_m, off_m) = (self.width_m / 2.0, self.off_m());
+        Zone {
+            least_m: [-half_m, self.distance_m - off_m, LEAST_UP_M],
+            most_m: [half_m, self.distance_m + off_m, self.height_m + OVER_M],
+        }
+    }
+
     /// Whether something there may be the box: as wide and as deep as it is wide, with some play.
-    pub(super) fn holds(&self, [right_m, ahead_m, up_m]: [f64; 3]) -> bool {
-        let off_m = self.off_m();
-        right_m.abs() <= self.width_m / 2.0
-            && (-off_m..=off_m + self.width_m).contains(&(ahead_m - self.distance_m))
-            && (LEAST_UP_M..=self.height_m + OVER_M).contains(&up_m)
+    pub(super) fn holds(&self, point_m: [f64; 3]) -> bool {
+        let mut zone = self.zone();
+        zone.most_m[1] += self.width_m;
+        zone.holds(point_m)
     }
 
     /// The returns on the box, of those of a sweep; none where they are too few for a box.
