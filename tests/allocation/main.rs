@@ -25,28 +25,42 @@ use sweepd::publish::{Loans, ServiceSettings};
 use sweepd::recording::{Recorder, RecorderConfig};
 use sweepd::segment::Method;
 use sweepd::sensor::{Model, ModelExt};
-use sweepd::sweep::{Shape, SweepMut};
+use sweepd::sweep::{LeastReturns, Shape, SweepMut, SweepRef, Zone};
 use sweepd::wire::DataPacket;
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::{Emitter, EmitterConfig, street};
 
-/// Allocations during each sweep: from the first of its datagrams to the moment it is labelled and
-/// let go.
+/// What is asked of each sweep: whether anything stands within 20 m.
+const ZONE: Zone = Zone {
+    least_m: [-20.0, -20.0, 0.05],
+    most_m: [20.0, 20.0, 2.0],
+};
+
+/// Allocations during each sweep: from the first of its datagrams to the moment it is labelled, looked
+/// at and let go.
 fn per_sweep(config: Config, datagrams: &[(Vec<u8>, i64)]) -> Vec<u64> {
     let mut pipeline = Pipeline::new("test", config).unwrap();
     let mut memory = Memory::new(HeapBuffers::default());
-    let mut counts = Vec::with_capacity(100);
+    let (mut counts, mut obstacles) = (Vec::with_capacity(100), 0);
     let mut before = ALLOCATIONS.load(Ordering::Relaxed);
     for (payload, arrival_ns) in datagrams {
         pipeline.push(&stream::datagram(payload, *arrival_ns).parse().unwrap());
         pipeline.idle(Some(*arrival_ns));
         while let Some(sweep) = next_sweep(&mut pipeline, &mut memory) {
+            let view = SweepRef::open(sweep.as_ref()).unwrap();
+            let found = view.obstacle(&ZONE, LeastReturns::default());
+            obstacles += usize::from(found.is_some());
             drop(sweep);
             let now = ALLOCATIONS.load(Ordering::Relaxed);
             counts.push(now - before);
             before = now;
         }
     }
+    assert!(
+        obstacles > counts.len() / 2,
+        "{obstacles} of {}",
+        counts.len()
+    );
     counts
 }
 

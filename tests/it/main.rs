@@ -38,3 +38,4 @@ mod velodyne_decoder;
 mod velodyne_reference;
 mod veloview;
 mod vlp32c_vls128;
+mod way;
