@@ -45,8 +45,8 @@ static void objects_say(const sweepd::Objects& message, const sweepd_zone& way) 
     for (const sweepd_object& object : message.objects()) {
         double box[2][3];
         sweepd_bounds(&mount, &object.segment, box);
-        // A box says nothing of what is inside it. What is so wide that it says nothing at all is to be skipped here.
-        bool is_ahead = true;
+        // What is wide was there in parts before, whose boxes say more.
+        bool is_ahead = (object.segment.flags & SWEEPD_SEGMENT_WIDE) == 0;
         for (int i = 0; i < 3; ++i)
             is_ahead &= !(box[0][i] - floor_m[i] > way.most_m[i]) && !(box[1][i] - floor_m[i] < way.least_m[i]);
         if (!is_ahead) continue;

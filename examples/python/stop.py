@@ -19,7 +19,7 @@ import sys
 import time
 
 import sweepd
-from sweepd.layout import NOT_SEEING
+from sweepd.layout import NOT_SEEING, SEGMENT_WIDE
 
 # Where the way begins, and from where to where it goes over the floor, metres.
 AHEAD_M, LOW_M, HIGH_M = 0.5, 0.05, 2.0
@@ -42,8 +42,9 @@ def sweep_says(name, sweep, way, model):
 def objects_say(message, way):
     """Which objects may be in the way."""
     boxes = message.boxes("robot") - [0, 0, message.floor_m or 0.0]
-    # A box says nothing of what is inside it. What is so wide that it says nothing at all is to be skipped here.
-    is_ahead = ((boxes[:, 0] <= way[1]) & (boxes[:, 1] >= way[0])).all(axis=1)
+    # What is wide was there in parts before, whose boxes say more.
+    is_wide = message.objects["segment"]["flags"] & SEGMENT_WIDE != 0
+    is_ahead = ((boxes[:, 0] <= way[1]) & (boxes[:, 1] >= way[0])).all(axis=1) & ~is_wide
     for segment, at_ns in zip(message.objects["segment"][is_ahead], message.when()[is_ahead]):
         age_ms = (time.time_ns() - int(at_ns)) / 1e6
         yield f"{segment['nearest_m']:.2f} m away, seen {age_ms:.0f} ms ago"

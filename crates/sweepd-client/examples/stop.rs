@@ -46,9 +46,8 @@ fn objects_say(message: &ObjectsRef<'_>, way: &Zone) {
     let way = way.on_floor(message.header.floor_m());
     let since_ns = realtime_ns().saturating_sub(message.header.time_ns);
     for (object, bounds_m) in message.objects.iter().zip(message.boxes(Frame::Robot)) {
-        // A box says nothing of what is inside it. What is so wide that it says nothing at all is to be
-        // skipped here.
-        if way.meets(bounds_m) {
+        // What is wide was there in parts before, whose boxes say more.
+        if !object.segment.is_wide() && way.meets(bounds_m) {
             let (at_m, last_ns) = (object.segment.nearest_m, i64::from(object.last_ns));
             let age_ms = since_ns.saturating_sub(last_ns) / 1_000_000;
             println!("object ahead, not confirmed: {at_m:.2} m away, seen {age_ms} ms ago");
