@@ -167,11 +167,11 @@ pub struct SensorOptions {
 /// Values of `--return`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum WhichReturn {
-    /// The nearer one: safe for obstacles
+    /// The nearer one: what the beam meets first, be it a drop, a flake or dust
     Nearest,
     /// What the sensor sends as strongest: the second strongest where the last is the strongest
     Strongest,
-    /// The last
+    /// The last: best in rain, snow and dust
     Last,
 }
 

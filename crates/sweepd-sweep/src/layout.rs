@@ -114,11 +114,11 @@ pub enum TimeSource {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum ReturnChoice {
-    /// The nearer: safe for obstacles.
+    /// The nearer: what the beam meets first, be it a drop, a flake or dust.
     Nearest = 0,
     /// The strongest.
     Strongest = 1,
-    /// The last.
+    /// The last: best in rain, snow and dust.
     Last = 2,
 }
 

@@ -155,7 +155,7 @@ table! {
     calibration = "unit.xml", File(calibration) [pipeline.calibration], WithSensor presence "the sensor's own";
     /// Whether it sends one return or two; by default told by the packets. To say so saves memory.
     returns = "single", Words("single" => false, "dual" => true) [dual], OtherSensor returns;
-    /// Which of two is segmented: nearest, strongest or last.
+    /// Which of two is segmented: nearest, strongest, or last, which is best in rain, snow and dust.
     return = "nearest", Words("nearest" => ReturnChoice::Nearest, "strongest" => ReturnChoice::Strongest, "last" => ReturnChoice::Last) [pipeline.return_choice], Reload word;
     /// Azimuth at which sweeps are cut, degrees clockwise from the sensor's +y.
     cut_azimuth_deg = 0, Number(TURN_DEG, "degrees", f64::to_radians) [pipeline.cut_azimuth_rad], Reload degrees;
