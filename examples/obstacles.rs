@@ -34,15 +34,42 @@ const AHEAD: Sector = Sector {
 };
 /// Ground by how far ahead it changes, metres.
 type Changing = fn(f64) -> Scene;
-/// What is ground though it is not level with the floor: pieces of each scene, not the faces of a
-/// kerb and of a step.
-const GROUNDS: [(&str, Changing, &[usize]); 5] = [
-    ("ramp 1:12", |ahead_m| ramp(1.0 / 12.0, ahead_m), &[1, 2]),
-    ("ramp 15 %", |ahead_m| ramp(0.15, ahead_m), &[1, 2]),
-    ("pavement, kerb 0.12 m", kerb, &[2]),
-    ("island 2 m wide, kerb 0.12 m", island, &[2]),
-    ("floor, step down 0.2 m", step_down, &[2]),
+/// What is ground though it is not level with the floor, for wheels that climb so much, metres: pieces
+/// of each scene, not the faces of a kerb and of a step.
+const GROUNDS: [(&str, f64, Changing, &[usize]); 7] = [
+    (
+        "ramp 1:12",
+        0.2,
+        |ahead_m| ramp(1.0 / 12.0, ahead_m),
+        &[1, 2],
+    ),
+    ("ramp 15 %", 0.2, |ahead_m| ramp(0.15, ahead_m), &[1, 2]),
+    ("pavement, kerb 0.12 m", 0.2, kerb, &[2]),
+    ("for wheels that climb 0.05 m", 0.05, kerb, &[2]),
+    ("island 2 m wide, kerb 0.12 m", 0.2, island, &[2]),
+    ("for wheels that climb 0.05 m", 0.05, island, &[2]),
+    (
+        "floor, step down 0.2 m",
+        0.2,
+        |ahead_m| step_down(0.2, ahead_m),
+        &[2],
+    ),
 ];
+/// Ground that falls, by how far ahead it begins to, metres.
+const FALLS: [(&str, Changing); 6] = [
+    ("ramp of 5 degrees", |ahead_m| ramp_down(5.0, ahead_m)),
+    ("8 degrees", |ahead_m| ramp_down(8.0, ahead_m)),
+    ("10 degrees", |ahead_m| ramp_down(10.0, ahead_m)),
+    ("step of 0.12 m", |ahead_m| step_down(0.12, ahead_m)),
+    ("0.2 m", |ahead_m| step_down(0.2, ahead_m)),
+    ("0.3 m", |ahead_m| step_down(0.3, ahead_m)),
+];
+/// Where it begins to, metres.
+const FALLS_AHEAD_M: f64 = 2.0;
+/// How far ahead a box stands there, metres.
+const LOW_BOX_AHEAD_M: f64 = 3.0;
+/// How far ahead other things stand there, metres: the ramps end 7 m ahead.
+const LOW_THINGS_AHEAD_M: [f64; 5] = [2.5, 3.0, 4.0, 5.0, 6.0];
 
 /// Boxes that are drawn.
 const DRAWN: u64 = 1500;
@@ -54,15 +81,32 @@ fn main() {
     let lines = by_two(mounts.as_flattened(), |&(model, height_m)| {
         lines(model, height_m)
     });
-    println!("The smallest box, cm (0.4 m wide, 0.3 m deep), by its distance:\n");
-    let heading = BOX_AHEAD_M.map(|ahead_m| format!("{ahead_m} m"));
-    print_table(&heading, lines.iter().map(|[boxes, ..]| boxes));
-    println!("\nFrom where to where things are seen, m:\n");
-    let heading = Thing::ALL.map(Thing::name);
-    print_table(&heading, lines.iter().map(|[_, things, _]| things));
-    println!("\nShare of returns within 10 m that is ground, the least:\n");
-    let heading = GROUNDS.map(|(name, ..)| name.to_owned());
-    print_table(&heading, lines.iter().map(|[.., grounds]| grounds));
+    let names = |of: &[&str]| of.iter().map(|&name| name.to_owned()).collect();
+    let falls: Vec<String> = names(&FALLS.map(|(name, _)| name));
+    let tables = [
+        (
+            "The smallest box, cm (0.4 m wide, 0.3 m deep), by its distance",
+            BOX_AHEAD_M.map(|ahead_m| format!("{ahead_m} m")).to_vec(),
+        ),
+        (
+            "From where to where things are seen, m",
+            Thing::ALL.map(Thing::name).to_vec(),
+        ),
+        (
+            "Share of returns within 10 m that is ground, the least",
+            names(&GROUNDS.map(|(name, ..)| name)),
+        ),
+        (
+            "The smallest box 3 m ahead, cm, where the ground falls from 2 m on",
+            falls.clone(),
+        ),
+        ("From where to where a lying person is seen there, m", falls),
+    ];
+    for (table, (title, heading)) in tables.iter().enumerate() {
+        println!("{title}:\n");
+        print_table(heading, lines.iter().map(|tables| &tables[table]));
+        println!();
+    }
     print_pairs();
     print_wrong_pitch();
     print_drawn();
@@ -90,21 +134,42 @@ fn by_two<T: Sync, R: Send>(of: &[T], job: impl Fn(&T) -> R + Sync) -> Vec<R> {
 }
 
 /// A line of each table, from its first cell on.
-fn lines(model: Model, height_m: f64) -> [Vec<String>; 3] {
+fn lines(model: Model, height_m: f64) -> [Vec<String>; 5] {
     let mut sensor = Sensor::new(model, height_m);
+    let floor = Scene::with(Vec::new());
+    let falls = FALLS.map(|(_, scene)| scene(FALLS_AHEAD_M));
     let mut tables = [
         BOX_AHEAD_M
-            .map(|ahead_m| smallest_box(&mut sensor, ahead_m))
+            .map(|ahead_m| smallest_box(&mut sensor, &floor, ahead_m))
             .to_vec(),
-        Thing::ALL.map(|thing| reach(&mut sensor, thing)).to_vec(),
+        Thing::ALL
+            .map(|thing| reach(&mut sensor, &floor, thing, &THINGS_AHEAD_M))
+            .to_vec(),
         GROUNDS
-            .map(|(_, scene, pieces)| ground(&mut sensor, scene, pieces))
+            .map(|(_, climb_m, scene, pieces)| {
+                let mut sensor = sensor.clone();
+                sensor.climb_m = climb_m;
+                ground(&mut sensor, scene, pieces)
+            })
+            .to_vec(),
+        falls
+            .each_ref()
+            .map(|low| smallest_box(&mut sensor, low, LOW_BOX_AHEAD_M))
+            .to_vec(),
+        falls
+            .each_ref()
+            .map(|low| reach(&mut sensor, low, Thing::LyingPerson, &LOW_THINGS_AHEAD_M))
             .to_vec(),
     ];
     for table in &mut tables {
         table.insert(0, format!("{model}, {height_m} m"));
     }
     tables
+}
+
+/// A ramp downwards at this angle.
+fn ramp_down(deg: f64, ahead_m: f64) -> Scene {
+    ramp(-deg.to_radians().tan(), ahead_m)
 }
 
 fn print_table<'a>(heading: &[String], lines: impl Iterator<Item = &'a Vec<String>>) {
@@ -115,8 +180,8 @@ fn print_table<'a>(heading: &[String], lines: impl Iterator<Item = &'a Vec<Strin
     }
 }
 
-/// The least height from which on all boxes are seen, however they are turned.
-fn smallest_box(sensor: &mut Sensor, ahead_m: f64) -> String {
+/// The least height from which on all boxes on this ground are seen, however they are turned.
+fn smallest_box(sensor: &mut Sensor, on: &Scene, ahead_m: f64) -> String {
     let mut is_seen = |cm: &u32| {
         YAWS.iter().enumerate().all(|(number, &(yaw_rad, phase))| {
             let height_m = f64::from(*cm) / 100.0;
@@ -126,21 +191,29 @@ fn smallest_box(sensor: &mut Sensor, ahead_m: f64) -> String {
                 ..Sector::around(&solids)
             };
             sensor.seed = number as u64;
-            sensor.look(&Scene::with(solids), &sector).sees(0)
+            let scene = Scene {
+                solids,
+                ..on.clone()
+            };
+            sensor.look(&scene, &sector).sees(0)
         })
     };
     let least_cm = BOX_CM.rev().take_while(|cm| is_seen(cm)).last();
     least_cm.map_or("-".to_owned(), |cm| cm.to_string())
 }
 
-/// The longest way, in the steps of the table, on which all solids of a thing are seen.
-fn reach(sensor: &mut Sensor, thing: Thing) -> String {
+/// The longest way, in the steps of the table, on which all solids of a thing on this ground are seen.
+fn reach(sensor: &mut Sensor, on: &Scene, thing: Thing, ahead_m: &[f64]) -> String {
     let mut is_seen = |ahead_m: f64| {
-        let scene = Scene::with(thing.solids(ahead_m));
+        let solids = thing.solids(ahead_m);
+        let scene = Scene {
+            solids,
+            ..on.clone()
+        };
         let view = sensor.look(&scene, &Sector::around(&scene.solids));
         (0..scene.solids.len()).all(|solid| view.sees(solid))
     };
-    let seen = THINGS_AHEAD_M.map(|ahead_m| (ahead_m, is_seen(ahead_m)));
+    let seen: Vec<_> = ahead_m.iter().map(|&at_m| (at_m, is_seen(at_m))).collect();
     let ways = seen.chunk_by(|a, b| a.1 == b.1).filter(|way| way[0].1);
     let longest = ways.max_by_key(|way| way.len());
     longest.map_or("-".to_owned(), |way| {

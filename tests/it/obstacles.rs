@@ -92,7 +92,7 @@ fn the_pavement_behind_a_kerb_is_ground() {
 
 #[test]
 fn the_floor_below_a_step_is_ground() {
-    let (share, what) = least_ground(&[0.4, 0.9, 1.8], &[2], step_down);
+    let (share, what) = least_ground(&[0.4, 0.9, 1.8], &[2], |ahead_m| step_down(0.2, ahead_m));
     assert!(share >= 0.95, "{share} of {what}");
 }
 

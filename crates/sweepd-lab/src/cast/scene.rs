@@ -26,7 +26,7 @@ pub enum What {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ground(pub Vec<[f64; 2]>);
 
-/// A solid that stands on z = 0; lengths in metres.
+/// A solid that stands upright on the ground below its middle; lengths in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Solid {
     /// A box.
@@ -71,6 +71,18 @@ impl Ground {
         Self(vec![[0.0, 0.0]])
     }
 
+    /// Height of the ground at a y, metres.
+    fn height_m(&self, y: f64) -> f64 {
+        let behind = self.0.partition_point(|corner| corner[0] <= y);
+        match (&self.0[..behind], &self.0[behind..]) {
+            (&[.., [near, low]], &[[far, high], ..]) => {
+                low + (high - low) * (y - near) / (far - near)
+            }
+            (&[.., [_, z]], []) | ([], &[[_, z], ..]) => z,
+            ([], []) => 0.0,
+        }
+    }
+
     /// Where a ray first meets it, metres along the ray, and which piece.
     fn meets(&self, ray: &Ray) -> Option<(f64, What)> {
         let (first, last) = (self.0.first()?, self.0.last()?);
@@ -96,8 +108,8 @@ impl Ground {
 }
 
 impl Solid {
-    /// Where a ray enters it, metres along the ray.
-    pub fn meets(&self, ray: &Ray) -> Option<f64> {
+    /// Where a ray enters it if it stands at this height, metres along the ray.
+    fn meets(&self, ray: &Ray, foot_m: f64) -> Option<f64> {
         let middle_m = self.middle_m();
         let from = [ray.from_m[0] - middle_m[0], ray.from_m[1] - middle_m[1]];
         let along = [ray.along[0], ray.along[1]];
@@ -114,7 +126,7 @@ impl Solid {
                 radius_m, height_m, ..
             } => (around(from, along, radius_m), height_m),
         };
-        let upright = between(ray.from_m[2], ray.along[2], 0.0, height_m);
+        let upright = between(ray.from_m[2], ray.along[2], foot_m, foot_m + height_m);
         let [enters_m, leaves_m] = common(within, upright);
         (enters_m <= leaves_m && enters_m > 0.0).then_some(enters_m)
     }
@@ -188,7 +200,10 @@ impl Scene {
     /// What a ray meets first, and how far along it, metres.
     pub fn meets(&self, ray: &Ray) -> Option<(f64, What)> {
         let solids = self.solids.iter().enumerate();
-        let solids = solids.filter_map(|(solid, of)| Some((of.meets(ray)?, What::Solid(solid))));
+        let solids = solids.filter_map(|(solid, of)| {
+            let foot_m = self.ground.height_m(of.middle_m()[1]);
+            Some((of.meets(ray, foot_m)?, What::Solid(solid)))
+        });
         let walls = [0, 1].map(|axis| {
             let wall_m = self.walls_m.copysign(ray.along[axis]);
             ((wall_m - ray.from_m[axis]) / ray.along[axis], What::Wall)
@@ -271,5 +286,36 @@ mod tests {
             [1.0, 10.0, -0.2],
             What::Ground(4),
         );
+    }
+
+    /// By hand: the ground falls by 0.1 a metre from 2 m on, then by a step to -0.5.
+    #[test]
+    fn solids_stand_on_the_ground_below_them() {
+        let corners = vec![[2.0, 0.0], [4.0, -0.2], [4.0, -0.5]];
+        for (y, z) in [
+            (0.0, 0.0),
+            (2.0, 0.0),
+            (3.0, -0.1),
+            (3.75, -0.175),
+            (4.3, -0.5),
+            (9.0, -0.5),
+        ] {
+            assert!(
+                (Ground(corners.clone()).height_m(y) - z).abs() < 1e-9,
+                "{y}"
+            );
+            let mut scene = Scene::of_ground(Ground(corners.clone()));
+            scene.solids = vec![Solid::Cylinder {
+                middle_m: [0.0, y],
+                radius_m: 0.05,
+                height_m: 0.25,
+            }];
+            // Onto its top, steeply.
+            let ray = Ray {
+                from_m: [0.0, y - 0.1, z + 0.25 + (1.0_f64 - 0.01).sqrt()],
+                along: [0.0, 0.1, -(1.0_f64 - 0.01).sqrt()],
+            };
+            meets(&scene, ray, [0.0, y, z + 0.25], What::Solid(0));
+        }
     }
 }

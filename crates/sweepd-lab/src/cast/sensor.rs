@@ -26,6 +26,8 @@ pub struct Sensor {
     pub pitch_rad: f64,
     /// Right side down, radians.
     pub roll_rad: f64,
+    /// What the wheels climb, metres.
+    pub climb_m: f64,
     /// How much more its pitch is told to be, radians.
     pub pitch_error_rad: f64,
     /// Standard deviation of its ranges, metres.
@@ -111,6 +113,7 @@ impl Sensor {
             height_m,
             pitch_rad: 0.0,
             roll_rad: 0.0,
+            climb_m: f64::from(Config::default().climb_m),
             pitch_error_rad: 0.0,
             noise_m: 0.01,
             seed: 1,
@@ -223,7 +226,7 @@ impl Sensor {
         (buffer, found)
     }
 
-    /// The product's, with nothing set but the mount. It keeps its memory from look to look, and
+    /// The product's, with nothing set but the mount and what wheels climb. It keeps its memory from look to look, and
     /// nothing else.
     fn segmenter(&mut self) -> &mut Segmenter {
         let mount = Mount {
@@ -231,16 +234,15 @@ impl Sensor {
             pitch_rad: (self.pitch_rad + self.pitch_error_rad) as f32,
             roll_rad: self.roll_rad as f32,
         };
+        let config = Config {
+            mount,
+            climb_m: self.climb_m as f32,
+            ..Config::default()
+        };
         let kept = self.segmenter.take();
-        let segmenter = match kept.filter(|kept| kept.config().mount == mount) {
+        let segmenter = match kept.filter(|kept| *kept.config() == config) {
             Some(kept) => kept,
-            None => {
-                let config = Config {
-                    mount,
-                    ..Config::default()
-                };
-                Segmenter::new(config).expect("the default with a mount")
-            }
+            None => Segmenter::new(config).expect("the default with a mount"),
         };
         self.segmenter.insert(segmenter)
     }

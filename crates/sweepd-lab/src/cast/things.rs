@@ -6,8 +6,6 @@ use super::{Ground, Scene, Solid};
 
 /// How high a kerb is, metres.
 const KERB_M: f64 = 0.12;
-/// How deep a step is, metres.
-const STEP_M: f64 = 0.2;
 /// How long a ramp is, metres.
 const RAMP_M: f64 = 5.0;
 
@@ -92,7 +90,8 @@ pub fn small_box(height_m: f64, ahead_m: f64, yaw_rad: f64) -> Solid {
     }
 }
 
-/// A ramp upwards of 5 m that begins this far ahead, metres, and the level behind it: pieces 1 and 2.
+/// A ramp of 5 m that begins this far ahead, metres, and the level behind it: pieces 1 and 2. It goes
+/// down where the slope is less than 0.
 pub fn ramp(slope: f64, ahead_m: f64) -> Scene {
     let top = [ahead_m + RAMP_M, slope * RAMP_M];
     Scene::of_ground(Ground(vec![[ahead_m, 0.0], top]))
@@ -114,7 +113,7 @@ pub fn island(ahead_m: f64) -> Scene {
     ]))
 }
 
-/// A step down this far ahead, metres, and the floor below it: piece 2.
-pub fn step_down(ahead_m: f64) -> Scene {
-    Scene::of_ground(Ground(vec![[ahead_m, 0.0], [ahead_m, -STEP_M]]))
+/// A step down, so deep and this far ahead, metres, and the floor below it: piece 2.
+pub fn step_down(deep_m: f64, ahead_m: f64) -> Scene {
+    Scene::of_ground(Ground(vec![[ahead_m, 0.0], [ahead_m, -deep_m]]))
 }
