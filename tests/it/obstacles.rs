@@ -2,7 +2,7 @@
 //! from the simulator; `examples/obstacles.rs` prints more of them.
 
 use sweepd::sensor::Model;
-use sweepd_lab::cast::{Drawn, Scene, Sector, Sensor, Solid, kerb, ramp, step_down};
+use sweepd_lab::cast::{Drawn, Scene, Sector, Sensor, Solid, kerb, ramp, small_box, step_down};
 
 /// Boxes that are drawn: more than half of them are struck well enough to count.
 const DRAWN: u64 = 250;
@@ -94,6 +94,39 @@ fn the_pavement_behind_a_kerb_is_ground() {
 fn the_floor_below_a_step_is_ground() {
     let (share, what) = least_ground(&[0.4, 0.9, 1.8], &[2], |ahead_m| step_down(0.2, ahead_m));
     assert!(share >= 0.95, "{share} of {what}");
+}
+
+/// Boxes behind a ramp downwards, or a step, that begins 2 m ahead: lower than the floor that their
+/// columns saw before.
+#[test]
+fn boxes_on_lower_ground_are_seen() {
+    let ramps = [5.0_f64, 8.0, 10.0].map(|deg| ramp(-deg.to_radians().tan(), 2.0));
+    let steps = [0.12, 0.2, 0.3].map(|deep_m| step_down(deep_m, 2.0));
+    let (mut seen, mut all) = (0, 0);
+    for model in Drawn::MODELS {
+        for height_m in [0.4, 0.9] {
+            let mut sensor = Sensor::new(model, height_m);
+            for scene in ramps.iter().chain(&steps) {
+                for (tall_m, ahead_m) in [0.2, 0.35, 0.5]
+                    .into_iter()
+                    .flat_map(|tall_m| [2.5, 3.0, 4.0].map(|ahead_m| (tall_m, ahead_m)))
+                {
+                    let solids = vec![small_box(tall_m, ahead_m + 0.15, 0.0)];
+                    let scene = Scene {
+                        solids,
+                        ..scene.clone()
+                    };
+                    let view = sensor.look(&scene, &Sector::around(&scene.solids));
+                    if view.strikes(0) {
+                        all += 1;
+                        seen += usize::from(view.sees(0));
+                    }
+                }
+            }
+        }
+    }
+    assert!(all >= 300, "{all}");
+    assert!(seen as f64 >= 0.95 * all as f64, "{seen} of {all}");
 }
 
 #[test]
