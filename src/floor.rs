@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use sweepd_core::floor::{Floor, Sight};
-use sweepd_core::segment::settings::{SETTINGS, Table};
+use sweepd_core::segment::settings::SETTINGS;
 use sweepd_core::segment::{Config, Mount};
 
 /// Where no floor is seen, and what to do about it.
@@ -85,7 +85,7 @@ pub fn difference(floor: &Floor, set: &Mount) -> Option<String> {
         ..Config::default()
     };
     let mut said = Vec::new();
-    for setting in SETTINGS.iter().filter(|one| one.table == Table::Mount) {
+    for setting in SETTINGS.iter().filter(|one| one.is_of_mount()) {
         if let Some(value) = setting.get(&config) {
             said.push(format!("{} = {value}", setting.key));
         }

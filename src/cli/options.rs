@@ -17,7 +17,7 @@ use crate::publish::is_sensor_name;
 use crate::suggest::nearest;
 use sweepd_core::assemble::BodyBox;
 use sweepd_core::pipeline;
-use sweepd_core::segment::settings::{REMOVED, Removed, Table, Unit};
+use sweepd_core::segment::settings::{REMOVED, Removed, Unit};
 use sweepd_core::segment::{self, Mount, SETTINGS, Setting};
 use sweepd_core::sensor::Model;
 use sweepd_core::sensor::model::UnknownModel;
@@ -268,7 +268,7 @@ fn given(
     given
 }
 
-/// How a sensor is said to be mounted: the settings of `[sensor.mount]` that were given as options.
+/// How a sensor is said to be mounted: the settings of a mount that were given as options.
 #[derive(Clone, Debug)]
 pub struct MountOptions(Vec<(&'static Setting, f64)>);
 
@@ -284,7 +284,7 @@ impl MountOptions {
 
     fn settings() -> impl Iterator<Item = &'static Setting> {
         let settings = SETTINGS.iter();
-        settings.filter(|setting| setting.table == Table::Mount)
+        settings.filter(|setting| setting.is_of_mount())
     }
 }
 
@@ -406,7 +406,7 @@ impl SegmentOptions {
         self.apply_to_segmenter(&mut to.segment)?;
         // What a configuration has was warned of when it was read.
         let given = &self.numbers.given;
-        let is_mounted = given.iter().any(|(one, _)| one.table == Table::Mount);
+        let is_mounted = given.iter().any(|(one, _)| one.is_of_mount());
         if let Some(warning) = to.segment.mount.warning().filter(|_| is_mounted) {
             complain("warning", warning);
         }

@@ -2,7 +2,9 @@
 //! from the simulator; `examples/obstacles.rs` prints more of them.
 
 use sweepd::sensor::Model;
-use sweepd_lab::cast::{Drawn, Scene, Sector, Sensor, Solid, kerb, ramp, small_box, step_down};
+use sweepd_lab::cast::{
+    Drawn, Ground, Scene, Sector, Sensor, Solid, View, What, kerb, ramp, small_box, step_down,
+};
 
 /// Boxes that are drawn: more than half of them are struck well enough to count.
 const DRAWN: u64 = 250;
@@ -138,6 +140,74 @@ fn a_level_floor_is_no_object() {
             let view = Sensor::new(model, height_m).look(&scene, &Sector::TURN);
             let share = view.object_share(&[0, 1]).unwrap_or(0.0);
             assert!(share <= 0.001, "{model} {height_m} m up: {share}");
+        }
+    }
+}
+
+/// What a sensor that looks ahead sees of a scene, on a robot that climbs so much.
+fn look_climbing(model: Model, height_m: f64, climb_m: f64, scene: &Scene) -> View {
+    let mut sensor = Sensor::new(model, height_m);
+    sensor.climb_m = climb_m;
+    let sector = Sector {
+        middle_rad: 0.0,
+        half_rad: 0.5,
+        phase: 0.0,
+    };
+    sensor.look(scene, &sector)
+}
+
+/// A platform 0.15 m high and 3 m deep. Its edge, the face and the first 0.3 m of the top, are pieces
+/// 1 and 2.
+#[test]
+fn a_platform_is_an_object_to_wheels_that_do_not_climb_it() {
+    let platform = |ahead_m: f64| {
+        let [edge_m, far_m] = [ahead_m + 0.3, ahead_m + 3.0];
+        let top = [[ahead_m, 0.15], [edge_m, 0.15], [far_m, 0.15]];
+        let foot = [[ahead_m, 0.0]].into_iter();
+        Scene::of_ground(Ground(foot.chain(top).chain([[far_m, 0.0]]).collect()))
+    };
+    let is_struck = |view: &View| {
+        let on_edge = view
+            .0
+            .iter()
+            .filter(|found| matches!(found.what, What::Ground(1 | 2)) && found.height_m > 0.03);
+        let mut rows: Vec<usize> = on_edge.map(|found| found.row).collect();
+        rows.dedup();
+        rows.sort_unstable();
+        rows.dedup();
+        rows.len() >= 2
+    };
+    let (mut all, mut objects, mut climbed) = (0, 0, 0);
+    for model in Drawn::MODELS {
+        for height_m in [0.3, 0.5, 1.0, 1.9] {
+            for ahead_m in [1.0, 2.0, 3.0, 4.0, 5.0, 7.0] {
+                let [high, low] = [0.2, 0.05]
+                    .map(|climb_m| look_climbing(model, height_m, climb_m, &platform(ahead_m)));
+                let is_object =
+                    |view: &View| view.object_share(&[1, 2]).is_some_and(|share| share >= 0.5);
+                if is_struck(&low) {
+                    all += 1;
+                    objects += usize::from(is_object(&low));
+                    climbed += usize::from(!is_object(&high));
+                }
+            }
+        }
+    }
+    assert!(all >= 60, "{all}");
+    assert!(objects >= all * 9 / 10, "{objects} of {all}");
+    assert!(climbed >= all * 9 / 10, "{climbed} of {all}");
+}
+
+#[test]
+fn a_ramp_of_5_degrees_is_the_same_to_all_wheels() {
+    for model in Drawn::MODELS {
+        for height_m in [0.4, 0.9] {
+            for ahead_m in AHEAD_M {
+                let scene = ramp(5_f64.to_radians().tan(), ahead_m);
+                let [high, low] =
+                    [0.2, 0.05].map(|climb_m| look_climbing(model, height_m, climb_m, &scene));
+                assert!(high == low, "{model} {height_m} m up, {ahead_m} m ahead");
+            }
         }
     }
 }

@@ -838,6 +838,7 @@ fn no_setting_changes_without_a_word() {
         "mount = { pitch_deg = 1 }",
         "mount = { roll_deg = 1 }",
         "mount = { height_m = 1 }",
+        "mount = { climb_m = 0.1 }",
         "segment = { method = \"paper\" }",
         "segment = { theta_deg = 11 }",
         "segment = { min_points = 11 }",

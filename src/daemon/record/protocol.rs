@@ -84,6 +84,9 @@ pub struct SegmentSettings {
     pub method: String,
     /// The numbers of [`SETTINGS`] by their keys, in the units of people; `None` where one is not set.
     pub settings: BTreeMap<String, Option<f64>>,
+    /// `max_object_deg`; `None` from a daemon of before 0.4.
+    #[serde(default)]
+    pub max_object_deg: Option<f64>,
     /// Whether there is a mask, which is not told.
     pub masked: bool,
 }
@@ -95,6 +98,7 @@ impl SegmentSettings {
         Self {
             method: format!("{:?}", config.method).to_lowercase(),
             settings: SETTINGS.iter().map(number).collect(),
+            max_object_deg: Some(f64::from(config.max_width_rad).to_degrees()),
             masked: config.mask.is_some(),
         }
     }

@@ -332,7 +332,7 @@ struct Climber<S: Simd> {
     start_away: S::i16s,
     /// Whether the edge waits for what comes behind it.
     waits: S::mask16s,
-    /// Whether the edge lies on a face that is no kerb.
+    /// Whether the edge lies on a step that the robot does not climb, or on a face that is an object.
     on_object: S::mask16s,
     kerb: Kerb,
 }
@@ -689,6 +689,26 @@ mod tests {
         assert_eq!(find_climbing(0.05, &kerb(1.0)), 0b111_0001);
         assert_eq!(find_climbing(0.05, &kerb(0.33)), 0b111_1111);
         assert_eq!(find_climbing(0.12, &kerb(1.0)), 0b111_1111);
+    }
+
+    /// A platform 0.15 m high between two rows, so that no row strikes its face. It is no ramp, as it
+    /// is steeper than 15 %; 0.95 m behind the floor, one of 0.13 m could be.
+    #[test]
+    fn a_step_between_rows_is_an_object_to_a_robot_that_climbs_less() {
+        let platform = |ahead_m: f64, up_m: f64| {
+            let top = [(6.0, up_m), (ahead_m + 0.8, up_m), (ahead_m, up_m)];
+            [&top[..], &[(1.9, 0.0), (1.7, 0.0)]].concat()
+        };
+        for (ahead_m, up_m, of_all, of_small) in [
+            (2.4, 0.15, 0b1_1111, 0b1_1000),
+            (2.85, 0.15, 0b1_1111, 0b1_1000),
+            (2.85, 0.13, 0b1_1111, 0b1_1111),
+            (2.4, 0.09, 0b1_1111, 0b1_1111),
+        ] {
+            let column = platform(ahead_m, up_m);
+            assert_eq!(find_low(&column), of_all, "{ahead_m} {up_m}");
+            assert_eq!(find_climbing(0.05, &column), of_small, "{ahead_m} {up_m}");
+        }
     }
 
     /// Ramps of 1:12 and 15 % from 2 m on.

@@ -20,8 +20,8 @@ pub enum Method {
     Paper,
 }
 
-/// Heights that [`Config::climb_m`] may have, metres. Less is the noise of a foot, and a face that
-/// rises more is no kerb to any robot.
+/// Heights that [`Config::climb_m`] may have, metres. What is lower is the foot of a face, and a higher
+/// face is no kerb to any robot.
 pub const CLIMB_M: RangeInclusive<f64> = 0.02..=0.2;
 
 /// The configuration of a [`Segmenter`](super::Segmenter).
@@ -43,8 +43,8 @@ pub struct Config {
     pub max_width_rad: f32,
     /// How the sensor sits on the robot.
     pub mount: Mount,
-    /// Height of a step that the wheels climb, metres: by [`Method::Slope`], a steep face that rises
-    /// more over the ground is an object.
+    /// Height of a step that the wheels climb, metres: by [`Method::Slope`], a higher one is an
+    /// object. No steep face is told from noise up to 5 cm, nor another rise up to 10 cm.
     pub climb_m: f32,
     /// Returns nearer than this are not labelled, metres.
     pub min_range_m: f32,

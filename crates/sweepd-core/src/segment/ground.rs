@@ -14,7 +14,8 @@
 //!
 //! Returns that rise steeply over the one below them are a *face*. A face that the robot climbs is
 //! low, and a higher one is an object, with what goes on level on top of it. Where the foot of a face
-//! lies lower than the foothold, below a ramp or a step, the face starts from there.
+//! lies lower than the foothold, below a ramp or a step, the face starts from there. Between sparse rows
+//! a step has no face: then it is told by how high and how steeply a return rises.
 //!
 //! So the climb needs the sensor's height, and holds for sparse sensors, whose first ground return
 //! is metres out. Columns do not look at each other while they climb; in the `vote` they do.

@@ -4,6 +4,7 @@
 use std::ops::RangeInclusive;
 
 use super::config::{CLIMB_M, Config};
+use super::mount::Mount;
 
 /// Angles that a beta test can have, degrees; the ends are none.
 pub const THETA_DEG: RangeInclusive<f64> = 0.0..=90.0;
@@ -131,7 +132,7 @@ pub const SETTINGS: &[Setting] = &[
         key: "climb_m",
         table: Table::Mount,
         option: "climb",
-        doc: "Height of a step that the robot's wheels climb, metres; a steep face that rises more is an object",
+        doc: "Height of a step that the robot's wheels climb, metres; a higher one that rows strike is an object, if it is over 5 cm high",
         unit: Unit::Metres,
         range: CLIMB_M,
         absent: "",
@@ -230,6 +231,13 @@ impl Setting {
         }
     }
 
+    /// Whether it says how the sensor sits on the robot, and so is of [`Mount`].
+    pub fn is_of_mount(&self) -> bool {
+        let mut config = Config::default();
+        self.set(&mut config, *self.range.start());
+        config.mount != Mount::default()
+    }
+
     /// Whether two configurations have the same.
     pub fn is_same(&self, one: &Config, other: &Config) -> bool {
         (self.field)(&mut one.clone()) == (self.field)(&mut other.clone())
@@ -285,6 +293,8 @@ mod tests {
                 "{}",
                 setting.key
             );
+            let is_mount = ["height_m", "pitch_deg", "roll_deg"].contains(&setting.key);
+            assert_eq!(setting.is_of_mount(), is_mount, "{}", setting.key);
             assert!(
                 value.is_none_or(|value| setting.allows(value)),
                 "{}",

@@ -102,13 +102,20 @@ pub(super) fn method(config: &Config) -> &'static str {
 /// It is another release, with other settings.
 pub(super) fn told(settings: SegmentSettings) -> Result<Config, String> {
     let SegmentSettings {
-        method, settings, ..
+        method,
+        settings,
+        max_object_deg,
+        masked: _,
     } = settings;
     let request = TuningRequest {
         method: Some(method),
         settings: Some(settings),
     };
-    Ok(request.config(&Config::default())?.unwrap_or_default())
+    let mut base = Config::default();
+    if let Some(degrees) = max_object_deg {
+        base.max_width_rad = degrees.to_radians() as f32;
+    }
+    Ok(request.config(&base)?.unwrap_or(base))
 }
 
 /// The lines of a sensor in the daemon's configuration that make one of another: the keys that
