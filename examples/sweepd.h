@@ -727,7 +727,7 @@ typedef struct sweepd_obstacle {
 /* Whether a way is free: 1, and the nearest obstacle in a zone, of the bytes of a sweep; 0: there is none; -1: sweepd_error. `least` may
  * be NULL: 3 and 4; `to` may be NULL. It allocates nothing. 0 does not mean that nothing is there: a low or thin thing may have no
  * return, and a sensor that does not see has SWEEPD_NOT_SEEING. Returns that a mask or the limits of range keep out of segments have no
- * label, and so can be an obstacle. */
+ * label, and so can be an obstacle. The other return of a pixel is without label only where the segmented one is, too. */
 int32_t sweepd_find_obstacle(const void *bytes, size_t len, const sweepd_zone *zone, const sweepd_least *least, sweepd_obstacle *to);
 
 /* Ends a client, which no thread may use any more. Samples stay. */

@@ -1,12 +1,12 @@
 //! What is in a robot's way: thin things that no segment has, and snow and rain that are none.
 
-use sweepd::buffers::HeapBuffer;
+use sweepd::buffers::{Buffers, HeapBuffer, HeapBuffers};
 use sweepd::messages::scan::{self, DIRECTIONS};
 use sweepd::messages::{MessageHeader, Slice, Stamp};
 use sweepd::segment::{Config, Mount, Segmenter};
 use sweepd::sensor::Model;
 use sweepd::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_NONE, is_return};
-use sweepd::sweep::{Frame, LeastReturns, Pose, SweepMut, SweepRef, Zone};
+use sweepd::sweep::{Frame, LeastReturns, Pose, Shape, SweepMut, SweepRef, Zone};
 use sweepd_lab::cast::{Scene, Sector, Sensor, Solid, Thing};
 
 /// What `stop` asks for.
@@ -15,9 +15,16 @@ const WAY: Zone = Zone {
     most_m: [1.0, 5.0, 2.0],
 };
 
-/// A labelled sweep of a scene, in which `change` has had the image before.
+/// A labelled sweep of a scene with two returns a shot, in which `change` has had the image before.
 fn sweep(sensor: &mut Sensor, scene: &Scene, change: impl FnOnce(&mut SweepMut<'_>)) -> HeapBuffer {
-    let (mut buffer, _) = sensor.scan(scene, &Sector::TURN);
+    let (single, _) = sensor.scan(scene, &Sector::TURN);
+    let single = SweepRef::open(single.as_ref()).unwrap();
+    let shape = Shape {
+        dual: true,
+        ..single.header.shape()
+    };
+    let mut buffer = HeapBuffers::default().take(shape.total_bytes());
+    single.pack(&shape, buffer.as_mut()).unwrap();
     let mut sweep = SweepMut::open(buffer.as_mut()).unwrap();
     let height_m = sensor.height_m as f32;
     (sweep.header.height_m, sweep.header.position_m[2]) = (height_m, height_m);
@@ -108,8 +115,17 @@ fn flake_m(is_snow: bool, rng: &mut fastrand::Rng) -> f64 {
     }
 }
 
-/// Puts flakes into an image, each on a beam of its own whose target is four times as far or none.
-fn snow(sweep: &mut SweepMut<'_>, flakes: usize, is_snow: bool, rng: &mut fastrand::Rng) {
+/// Puts flakes into an image, each on a beam of its own whose target is four times as far or none. With
+/// `last`, the target stays the segmented return.
+fn snow(
+    sweep: &mut SweepMut<'_>,
+    Snow {
+        flakes,
+        is_snow,
+        last,
+    }: Snow,
+    rng: &mut fastrand::Rng,
+) {
     let (rows, mut left) = (sweep.header.rows as usize, flakes);
     let mut is_flake = vec![false; sweep.range.len()];
     while left > 0 {
@@ -118,10 +134,23 @@ fn snow(sweep: &mut SweepMut<'_>, flakes: usize, is_snow: bool, rng: &mut fastra
         let up_m = f64::from(sweep.header.height_m) + range_m * f64::from(beam.elevation_rad).sin();
         let wins = !is_return(sweep.range[pixel]) || target_m > 4.0 * range_m;
         if !is_flake[pixel] && wins && up_m > 0.0 {
-            (sweep.range[pixel], is_flake[pixel]) = (range_m as f32, true);
+            is_flake[pixel] = true;
+            match last && is_return(sweep.range[pixel]) {
+                true => sweep.range2[pixel] = range_m as f32,
+                false => sweep.range[pixel] = range_m as f32,
+            }
             left -= 1;
         }
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Snow {
+    flakes: usize,
+    /// Else rain.
+    is_snow: bool,
+    /// Of two returns the last is segmented.
+    last: bool,
 }
 
 /// Boxes beside the way, and flakes in it: what has no label stops nobody whom segments do not stop.
@@ -132,19 +161,29 @@ fn snow_and_rain_stop_nobody() {
         size_m,
         yaw_rad: 0.0,
     };
-    let scene = Scene::with(vec![
+    let mut scene = Scene::with(vec![
         cuboid([1.6, 3.0], [0.4, 0.3, 0.25]),
         cuboid([-2.0, 5.0], [0.6, 0.6, 0.9]),
     ]);
-    for is_snow in [true, false] {
+    for (flakes, is_snow, last) in [
+        (750, true, false),
+        (750, false, false),
+        (4000, true, true),
+        (4000, false, true),
+    ] {
+        let kind = Snow {
+            flakes,
+            is_snow,
+            last,
+        };
+        // So dense that they are neighbours, and in a hall, in which beams have a target to be last.
+        scene.walls_m = if last { 15.0 } else { scene.walls_m };
         let (mut flakes, mut by_labels, mut by_function) = (0, 0, 0);
         for seed in 0..50 {
             let mut sensor = Sensor::new(Model::Vlp16, 0.5);
             sensor.seed = seed;
             let mut rng = fastrand::Rng::with_seed(seed);
-            let buffer = sweep(&mut sensor, &scene, |sweep| {
-                snow(sweep, 750, is_snow, &mut rng)
-            });
+            let buffer = sweep(&mut sensor, &scene, |sweep| snow(sweep, kind, &mut rng));
             let sweep = SweepRef::open(buffer.as_ref()).unwrap();
             flakes += count(&sweep, |label| label == LABEL_NONE);
             by_labels += usize::from(count(&sweep, |label| label >= LABEL_FIRST_SEGMENT) >= 3);
@@ -152,12 +191,41 @@ fn snow_and_rain_stop_nobody() {
             by_function += usize::from(found.is_some());
         }
         println!(
-            "snow {is_snow}: {flakes} returns in 50 sweeps, {by_labels} stops by labels, {by_function} by the function"
+            "{kind:?}: {flakes} returns in 50 sweeps, {by_labels} stops by labels, {by_function} by the function"
         );
         assert!(flakes > 50 * 20, "{flakes}");
         assert!(
             by_function <= by_labels,
             "{by_function}, {by_labels} by labels"
         );
+    }
+}
+
+/// Beams that graze a box before the zone strike the floor in it, too, which has no label then.
+#[test]
+fn floor_behind_an_edge_is_free() {
+    let zone = Zone {
+        least_m: [-1.0, 1.8, -0.5],
+        most_m: [1.5, 6.0, 2.0],
+    };
+    let edge = Solid::Cuboid {
+        middle_m: [0.85, 1.3],
+        size_m: [0.3, 0.3, 0.6],
+        yaw_rad: 0.0,
+    };
+    for seed in 0..20 {
+        let mut sensor = Sensor::new(Model::Vlp16, 0.5);
+        sensor.seed = seed;
+        let (floor, _) = sensor.scan(&Scene::with(Vec::new()), &Sector::TURN);
+        let floor = SweepRef::open(floor.as_ref()).unwrap();
+        let buffer = sweep(&mut sensor, &Scene::with(vec![edge]), |sweep| {
+            for (pixel, &floor_m) in floor.range.iter().enumerate() {
+                if floor_m - sweep.range[pixel] > 0.3 {
+                    sweep.range2[pixel] = floor_m;
+                }
+            }
+        });
+        let sweep = SweepRef::open(buffer.as_ref()).unwrap();
+        assert_eq!(sweep.obstacle(&zone, LeastReturns::default()), None);
     }
 }

@@ -122,6 +122,10 @@ impl SweepRef<'_> {
     /// that does not see is known by its [flags](flags::NOT_SEEING) alone. Returns that a mask,
     /// `min_range_m` or `max_range_m` keeps out of segments have no label, and so can be an obstacle:
     /// remove those of the robot itself, as docs/usage.md#mask says.
+    ///
+    /// The other return of a pixel counts as one without label only if the segmented one has no label
+    /// either: it has one only if it lies within 0.3 m of that, so that floor behind an edge, or a drop
+    /// before a wall, has none.
     pub fn obstacle(&self, zone: &Zone, least: LeastReturns) -> Option<Obstacle> {
         let zone = zone.on_floor(self.header.floor_m());
         self.obstacle_in(&Pose::of_mount(self.header), &zone, least)
@@ -204,7 +208,7 @@ impl<'a> Inside<'a> {
         }
     }
 
-    /// Returns the returns in the box with a label that is wanted.
+    /// Returns the returns in the box with a label that is wanted. Those without label are bare.
     fn returns(&self, is_wanted: impl Fn(u32) -> bool) -> impl Iterator<Item = Held> {
         let planes = self.planes.into_iter().enumerate();
         let all = planes.flat_map(|(plane, (_, labels))| {
@@ -214,7 +218,10 @@ impl<'a> Inside<'a> {
                 .map(move |(at, label)| (plane, at, *label))
         });
         let rows = self.sweep.rows();
-        all.filter(move |(_, _, label)| is_wanted(*label))
+        let is_wanted = move |plane, at, label| {
+            is_wanted(label) && (label != LABEL_NONE || self.is_bare(plane, at))
+        };
+        all.filter(move |&(plane, at, label)| is_wanted(plane, at, label))
             .filter_map(move |(plane, at, label)| {
                 let (row, column) = (at % rows, at / rows);
                 let place = Place { row, column, plane };
@@ -225,6 +232,12 @@ impl<'a> Inside<'a> {
                     distance_m,
                 })
             })
+    }
+
+    /// True if neither this return of a pixel nor the segmented one has a label.
+    fn is_bare(&self, plane: usize, at: usize) -> bool {
+        let mut labels = self.planes[..=plane].iter().map(|(_, labels)| labels);
+        labels.all(|labels| labels.get(at) == Some(&LABEL_NONE))
     }
 
     /// Returns the returns in the box that have no label and are in groups of at least so many.
@@ -275,9 +288,9 @@ impl<'a> Inside<'a> {
             rows.flat_map(move |row| [0, 1].map(|plane| Place { row, column, plane }))
         });
         near.filter(move |place| {
-            let (ranges, labels) = self.planes[place.plane];
+            let (ranges, _) = self.planes[place.plane];
             let at = place.column * rows + place.row;
-            labels.get(at) == Some(&LABEL_NONE)
+            self.is_bare(place.plane, at)
                 && is_return(ranges[at])
                 && (ranges[at] - range_m).abs() < APART_M
                 && !place.is_pixel_of(&of)
@@ -442,6 +455,28 @@ mod tests {
         assert_eq!(made.obstacle(), None);
     }
 
+    #[test]
+    fn the_other_return_of_a_pixel_with_a_label_is_no_return_without_one() {
+        // Floor behind the edge of a thing, or drops before the floor: 0.3 m and more apart.
+        for label in [1, 2] {
+            let mut made = Made::new(2, 20, true);
+            for column in 3..6 {
+                for row in 0..2 {
+                    made.put(row, column, 200.0, label);
+                    made.put_other(row, column, 3.0, 0);
+                }
+            }
+            assert_eq!(made.obstacle(), None);
+            // Three with a segmented return that has no label, and what has one connects nothing.
+            for (row, column) in [(0, 3), (1, 3), (0, 5)] {
+                made.put(row, column, 200.0, 0);
+            }
+            assert_eq!(made.obstacle(), None);
+            made.put(0, 4, 0.0, 0);
+            made.assert(3.0, 4, 0);
+        }
+    }
+
     /// Of a box 0.2 m high over the floor, by a sensor that looks to the left of its robot.
     #[test]
     fn the_zone_stands_on_the_floor_of_the_robot() {
@@ -503,7 +538,10 @@ mod tests {
                 && (one.row, one.column) != (other.row, other.column)
                 && (one.range_m - other.range_m).abs() < 0.3
         };
-        let bare: Vec<usize> = (0..all.len()).filter(|&at| all[at].label == 0).collect();
+        // One whose pixel has a label is none without label.
+        let of_pixel = |one: &Return| sweep.label[one.column * rows + one.row];
+        let bare = (0..all.len()).filter(|&at| all[at].label == 0 && of_pixel(&all[at]) == 0);
+        let bare: Vec<usize> = bare.collect();
         let group_of = |first: usize| {
             let mut group = BTreeSet::from([first]);
             loop {

@@ -215,7 +215,8 @@ class Sweep(Headed):
         An obstacle has `labelled` returns of segments, of whichever, together, or `unlabelled` returns without label, at
         most 16, that are neighbours in the image and in range, two of a pixel once. `None` does not mean that nothing is
         there: a low or thin thing may have no return, and a sensor that does not see has `layout.NOT_SEEING`. Returns that
-        a mask or the limits of range keep out of segments have no label, and so can be an obstacle.
+        a mask or the limits of range keep out of segments have no label, and so can be an obstacle. The other return of a
+        pixel is without label only where the segmented one is, too.
 
         Raises `SweepdError` for a zone that is no box.
         """
