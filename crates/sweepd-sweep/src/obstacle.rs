@@ -4,6 +4,8 @@
 //! in the image and in range. A thin thing has too few returns for a segment; a snowflake, a drop or
 //! a grain of dust has no neighbour.
 
+use std::f64::consts::FRAC_PI_2;
+
 use super::image::{SweepRef, turned_to};
 use super::layout::{Header, LABEL_FIRST_SEGMENT, LABEL_NONE, flags, is_return};
 use super::objects::ObjectsHeader;
@@ -51,14 +53,16 @@ impl Zone {
         self
     }
 
-    /// Returns the greatest distance of a point of the box from another point, metres.
+    /// Returns the greatest distance of a point of the box from another point, metres: along the floor
+    /// if the box has no end in height.
     fn far_m(&self, from_m: [f64; 3]) -> f64 {
         let most_m = |at: usize| {
             let ends_m =
                 [self.least_m[at], self.most_m[at]].map(|end_m| (end_m - from_m[at]).abs());
             ends_m[0].max(ends_m[1])
         };
-        most_m(0).hypot(most_m(1)).hypot(most_m(2))
+        let up_m = Some(most_m(2)).filter(|up_m| up_m.is_finite());
+        most_m(0).hypot(most_m(1)).hypot(up_m.unwrap_or(0.0))
     }
 }
 
@@ -173,7 +177,7 @@ struct Held {
 }
 
 /// Place of a return in the image.
-#[derive(Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Default, PartialEq)]
 struct Place {
     row: usize,
     column: usize,
@@ -187,24 +191,50 @@ impl Place {
     }
 }
 
+/// Neighbours without label.
+#[derive(Clone, Copy, Default)]
+struct Group {
+    places: [Place; 2 * MOST_UNLABELLED as usize],
+    len: usize,
+    /// Pixels that the places are of.
+    pixels: usize,
+}
+
+impl Group {
+    fn found(&self) -> &[Place] {
+        &self.places[..self.len]
+    }
+
+    fn add(&mut self, place: Place) {
+        let is_new = !self.found().iter().any(|one| one.is_pixel_of(&place));
+        self.pixels += usize::from(is_new);
+        self.places[self.len] = place;
+        self.len += 1;
+    }
+}
+
 /// The returns of a sweep that are in a box.
 struct Inside<'a> {
     sweep: SweepRef<'a>,
     planes: [(&'a [f32], &'a [u32]); 2],
     pose: Pose,
     zone: Zone,
-    /// Greatest distance of the box from the sensor, metres.
+    /// [`Zone::far_m`] from the sensor.
     far_m: f64,
+    /// How much the sensor leans, radians, if the box has no end in height.
+    lean_rad: Option<f64>,
 }
 
 impl<'a> Inside<'a> {
     fn new(sweep: SweepRef<'a>, pose: Pose, zone: Zone) -> Self {
+        let is_endless = zone.least_m[2].is_infinite() || zone.most_m[2].is_infinite();
         Self {
             sweep,
             planes: [(sweep.range, sweep.label), (sweep.range2, sweep.label2)],
             pose,
             zone,
             far_m: zone.far_m(pose.position_m),
+            lean_rad: is_endless.then(|| pose.rotation[2][2].clamp(-1.0, 1.0).acos()),
         }
     }
 
@@ -244,35 +274,41 @@ impl<'a> Inside<'a> {
     fn groups(&self, least: u32) -> impl Iterator<Item = Held> {
         let least = least.min(MOST_UNLABELLED) as usize;
         let mut grouped: Option<Place> = None;
+        let mut small = Group::default();
         let unlabelled = self.returns(|label| label == LABEL_NONE);
         unlabelled.filter(move |one| {
-            // A neighbour of one that is in a large group is, too: that is cheap, and so are large
-            // things.
+            // What is in the group of the last one need not be searched again, be it large or small: so
+            // large things are cheap, and so are many small ones.
             let is_next = grouped.is_some_and(|of| self.around(of).any(|near| near == one.place));
-            let is_grouped = is_next || self.is_grouped(one.place, least);
-            grouped = if is_grouped { Some(one.place) } else { grouped };
-            is_grouped
+            if is_next {
+                grouped = Some(one.place);
+            } else if !small.found().contains(&one.place) {
+                let group = self.group(one.place, least);
+                match group.pixels >= least {
+                    true => grouped = Some(one.place),
+                    false => small = group,
+                }
+            }
+            grouped == Some(one.place)
         })
     }
 
-    /// True if a return in the box without label is in a group of at least so many. The search ends as
-    /// soon as these are found.
-    fn is_grouped(&self, first: Place, least: usize) -> bool {
-        let mut group = [first; 2 * MOST_UNLABELLED as usize];
-        let (mut len, mut pixels, mut looked) = (1, 1, 0);
-        while looked < len && pixels < least {
-            for place in self.around(group[looked]) {
-                let found = &group[..len];
-                if pixels >= least || found.contains(&place) || self.distance_m(place).is_none() {
-                    continue;
+    /// Returns the group of a return in the box without label. The search ends as soon as so many are
+    /// found.
+    fn group(&self, first: Place, least: usize) -> Group {
+        let mut group = Group::default();
+        group.add(first);
+        let mut looked = 0;
+        while looked < group.len && group.pixels < least {
+            for place in self.around(group.places[looked]) {
+                let is_new = group.pixels < least && !group.found().contains(&place);
+                if is_new && self.distance_m(place).is_some() {
+                    group.add(place);
                 }
-                pixels += usize::from(!found.iter().any(|one| one.is_pixel_of(&place)));
-                group[len] = place;
-                len += 1;
             }
             looked += 1;
         }
-        pixels >= least
+        group
     }
 
     /// Returns the neighbours of a return without label and with nearly the same range, in the box or
@@ -306,8 +342,14 @@ impl<'a> Inside<'a> {
         let range_m = self.range_m(place);
         let beam = &self.sweep.beams[place.row];
         let origin_m = beam.horizontal_offset_m.abs() + beam.vertical_offset_m.abs();
-        // Most returns are farther away than the box: this is seen before angles are computed.
-        if !is_return(range_m) || f64::from(range_m) - f64::from(origin_m) > self.far_m {
+        // A beam goes at least so far along the floor for each metre; two-point corrections bend it by
+        // less than a degree.
+        let along = self.lean_rad.map_or(1.0, |lean_rad| {
+            let up_rad = f64::from(beam.elevation_rad).abs() + lean_rad + 0.02;
+            up_rad.min(FRAC_PI_2).cos()
+        });
+        // Most returns are farther away than the box: this is seen before their points are computed.
+        if !is_return(range_m) || (f64::from(range_m) * along - f64::from(origin_m)) > self.far_m {
             return None;
         }
         let point_m = self.sweep.point_m(place.row, place.column, range_m);
@@ -597,6 +639,7 @@ mod tests {
             (z_m, height_m) in prop_oneof![Just((0.0, 0.5)), Just((0.5, 0.5)), Just((0.0, 0.0))],
             (width_m, from_m, deep_m) in (0.01_f64..1.0, -0.5_f64..1.0, 0.1_f64..1.5),
             (labelled, unlabelled) in (0_u32..6, 0_u32..20),
+            (rise_rad, pitch_rad, roll_rad) in (-0.4_f32..0.4, -0.4_f32..0.4, -0.4_f32..0.4),
         ) {
             let mut made = Made::new(rows, columns, dual);
             for (at, (one, other)) in pixels.into_iter().take(rows * columns).enumerate() {
@@ -608,6 +651,10 @@ mod tests {
             }
             let sweep = made.change();
             (sweep.header.position_m[2], sweep.header.height_m) = (z_m, height_m);
+            (sweep.header.pitch_rad, sweep.header.roll_rad) = (pitch_rad, roll_rad);
+            for (row, beam) in sweep.beams.iter_mut().enumerate() {
+                *beam = BeamRow::ideal(row as u32, row as f32 * rise_rad, 0);
+            }
             sweep.header.flags = if circular { flags::CIRCULAR } else { 0 };
             let zone = Zone {
                 least_m: [-width_m, from_m, 0.4],
