@@ -31,10 +31,7 @@ use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::{Emitter, EmitterConfig, street};
 
 /// What is asked of each sweep: whether anything stands within 20 m.
-const ZONE: Zone = Zone {
-    least_m: [-20.0, -20.0, 0.05],
-    most_m: [20.0, 20.0, 2.0],
-};
+const ZONE: [[f64; 3]; 2] = [[-20.0, -20.0, 0.05], [20.0, 20.0, 2.0]];
 
 /// Allocations during each sweep: from the first of its datagrams to the moment it is labelled, looked
 /// at and let go.
@@ -48,7 +45,8 @@ fn per_sweep(config: Config, datagrams: &[(Vec<u8>, i64)]) -> Vec<u64> {
         pipeline.idle(Some(*arrival_ns));
         while let Some(sweep) = next_sweep(&mut pipeline, &mut memory) {
             let view = SweepRef::open(sweep.as_ref()).unwrap();
-            let found = view.obstacle(&ZONE, LeastReturns::default());
+            let zone = Zone::new(ZONE[0], ZONE[1]).unwrap();
+            let found = view.obstacle(&zone, LeastReturns::default());
             obstacles += usize::from(found.is_some());
             drop(sweep);
             let now = ALLOCATIONS.load(Ordering::Relaxed);

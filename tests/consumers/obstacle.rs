@@ -12,25 +12,19 @@ use super::python::{Talk, check};
 use super::sweeps::SOURCES;
 
 /// Zones all around, near and far, low and high; and one that is empty.
-fn zones() -> Vec<Zone> {
-    let mut zones = vec![Zone {
-        least_m: [-0.01, -0.01, -0.01],
-        most_m: [0.01, 0.01, 0.01],
-    }];
+fn zones() -> Vec<[[f64; 3]; 2]> {
+    let mut zones = vec![[[-0.01; 3], [0.01; 3]]];
     for (x, y) in [(-10.0, 0.0), (0.0, 0.0), (0.0, -10.0), (-2.0, -30.0)] {
         for (least_up_m, most_up_m) in [(0.05, 2.0), (-3.0, 0.3)] {
-            zones.push(Zone {
-                least_m: [x, y, least_up_m],
-                most_m: [x + 10.0, y + 10.0, most_up_m],
-            });
+            let most_m = [x + 10.0, y + 10.0, most_up_m];
+            zones.push([[x, y, least_up_m], most_m]);
         }
     }
     zones
 }
 
 /// What one of the programs is asked.
-fn question(zone: &Zone, least: LeastReturns) -> String {
-    let ends = [zone.least_m, zone.most_m];
+fn question(ends: &[[f64; 3]; 2], least: LeastReturns) -> String {
     let ends: Vec<String> = ends.iter().flatten().map(f64::to_string).collect();
     let LeastReturns {
         labelled,
@@ -68,7 +62,8 @@ fn c_and_python_find_the_obstacles_that_rust_finds() {
                     labelled,
                     unlabelled,
                 };
-                let found = view.obstacle(&zone, least);
+                let box_of = Zone::new(zone[0], zone[1]).unwrap();
+                let found = view.obstacle(&box_of, least);
                 all[usize::from(found.is_some())] += 1;
                 if let Some(found) = found {
                     labels[usize::from(found.label > 0)] += 1;

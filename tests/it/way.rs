@@ -10,10 +10,9 @@ use sweepd::sweep::{Frame, LeastReturns, Pose, Shape, SweepMut, SweepRef, Zone};
 use sweepd_lab::cast::{Scene, Sector, Sensor, Solid, Thing};
 
 /// What `stop` asks for.
-const WAY: Zone = Zone {
-    least_m: [-1.0, 0.5, 0.05],
-    most_m: [1.0, 5.0, 2.0],
-};
+fn way() -> Zone {
+    Zone::new([-1.0, 0.5, 0.05], [1.0, 5.0, 2.0]).unwrap()
+}
 
 /// A labelled sweep of a scene with two returns a shot, in which `change` has had the image before.
 fn sweep(sensor: &mut Sensor, scene: &Scene, change: impl FnOnce(&mut SweepMut<'_>)) -> HeapBuffer {
@@ -46,7 +45,8 @@ fn count(sweep: &SweepRef<'_>, is_wanted: impl Fn(u32) -> bool) -> usize {
     let wanted = sweep
         .points(Frame::Robot)
         .filter(|one| is_wanted(one.label));
-    wanted.filter(|one| WAY.holds(one.point_m)).count()
+    let way = way();
+    wanted.filter(|one| way.holds(one.point_m)).count()
 }
 
 /// The least distance that the LaserScan has within 20 degrees of straight ahead, metres.
@@ -84,7 +84,7 @@ fn legs_of_a_table_and_a_stake_are_in_the_way() {
                 sensor.seed = seed;
                 let buffer = sweep(&mut sensor, &Scene::with(solids.clone()), |_| {});
                 let sweep = SweepRef::open(buffer.as_ref()).unwrap();
-                let found = sweep.obstacle(&WAY, LeastReturns::default());
+                let found = sweep.obstacle(&way(), LeastReturns::default());
                 let found = found.unwrap_or_else(|| panic!("{what}, {height_m} m up, {seed}"));
                 assert!((2.95..3.9).contains(&found.distance_m), "{what}: {found:?}");
                 let scanned_m = scanned_m(&sweep);
@@ -187,7 +187,7 @@ fn snow_and_rain_stop_nobody() {
             let sweep = SweepRef::open(buffer.as_ref()).unwrap();
             flakes += count(&sweep, |label| label == LABEL_NONE);
             by_labels += usize::from(count(&sweep, |label| label >= LABEL_FIRST_SEGMENT) >= 3);
-            let found = sweep.obstacle(&WAY, LeastReturns::default());
+            let found = sweep.obstacle(&way(), LeastReturns::default());
             by_function += usize::from(found.is_some());
         }
         println!(
@@ -204,10 +204,7 @@ fn snow_and_rain_stop_nobody() {
 /// Beams that graze a box before the zone strike the floor in it, too, which has no label then.
 #[test]
 fn floor_behind_an_edge_is_free() {
-    let zone = Zone {
-        least_m: [-1.0, 1.8, -0.5],
-        most_m: [1.5, 6.0, 2.0],
-    };
+    let zone = Zone::new([-1.0, 1.8, -0.5], [1.5, 6.0, 2.0]).unwrap();
     let edge = Solid::Cuboid {
         middle_m: [0.85, 1.3],
         size_m: [0.3, 0.3, 0.6],

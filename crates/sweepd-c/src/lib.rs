@@ -469,18 +469,13 @@ pub unsafe extern "C" fn sweepd_sample_release(sample: *mut Sample) {
 unsafe fn obstacle(
     bytes: *const c_void,
     len: usize,
-    zone: *const Zone,
+    zone: *const [[f64; 3]; 2],
     least: *const LeastReturns,
 ) -> Result<Option<Obstacle>, String> {
     // SAFETY: as the caller promises.
     let (zone, least) = unsafe { (zone.as_ref(), least.as_ref()) };
-    let zone = zone.ok_or("the zone is NULL")?;
-    if !zone.is_box() {
-        let [least_m, most_m] = [zone.least_m, zone.most_m];
-        return Err(format!(
-            "the zone from {least_m:?} to {most_m:?} is no box: no least may be greater than its most, or a NaN"
-        ));
-    }
+    let [least_m, most_m] = zone.ok_or("the zone is NULL")?;
+    let zone = Zone::new(*least_m, *most_m).map_err(|error| error.to_string())?;
     if bytes.is_null() {
         return Err("the bytes of the sweep are NULL".to_owned());
     }
@@ -488,7 +483,7 @@ unsafe fn obstacle(
     let bytes = unsafe { slice::from_raw_parts(bytes.cast(), len) };
     let header = Header::copied(bytes).map_err(|error| error.to_string())?;
     let sweep = SweepRef::with_header(&header, bytes).map_err(|error| error.to_string())?;
-    Ok(sweep.obstacle(zone, least.copied().unwrap_or_default()))
+    Ok(sweep.obstacle(&zone, least.copied().unwrap_or_default()))
 }
 
 /// See `sweepd.h`.
@@ -500,7 +495,7 @@ unsafe fn obstacle(
 pub unsafe extern "C" fn sweepd_find_obstacle(
     bytes: *const c_void,
     len: usize,
-    zone: *const Zone,
+    zone: *const [[f64; 3]; 2],
     least: *const LeastReturns,
     to: *mut Obstacle,
 ) -> i32 {

@@ -6,16 +6,12 @@ use std::time::{Duration, SystemTime};
 use sweepd_client::client::Client;
 use sweepd_client::sweep::{LeastReturns, Zone};
 
-/// Least and greatest x (right), y (ahead) and z (up from the floor), metres.
-const ZONE: Zone = Zone {
-    least_m: [-1.0, 0.5, 0.05],
-    most_m: [1.0, 5.0, 2.0],
-};
-
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let sensor = std::env::args().nth(1).ok_or("which sensor?")?;
     let seconds = std::env::args().nth(2).unwrap_or("10".to_owned());
     let mut client = Client::new(&sensor)?;
+    // Least and greatest x (right), y (ahead) and z (up from the floor), metres.
+    let zone = Zone::new([-1.0, 0.5, 0.05], [1.0, 5.0, 2.0])?;
     loop {
         let Some(sweep) = client.next(Duration::from_secs(1))?.received() else {
             eprintln!("nothing is heard of {sensor}");
@@ -24,7 +20,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let view = sweep.view()?;
         if view.header.height_m == 0.0 {
             eprintln!("the height of {sensor} is not known yet, nor is what is ground");
-        } else if view.obstacle(&ZONE, LeastReturns::default()).is_some() {
+        } else if view.obstacle(&zone, LeastReturns::default()).is_some() {
             let time_ms = SystemTime::UNIX_EPOCH.elapsed()?.as_millis();
             let file = format!("event_{time_ms}.pcap");
             println!("recording {file}");

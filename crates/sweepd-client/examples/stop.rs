@@ -61,10 +61,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let numbers = [text(1, "2"), text(2, "5"), text(3, "0")];
     let [width_m, length_m, code] = numbers.map(|text| text.parse().unwrap_or(f64::NAN));
     let (least_m, most_m) = ([-width_m / 2.0, 0.5, 0.05], [width_m / 2.0, length_m, 2.0]);
-    let way = Zone { least_m, most_m };
-    if args.is_empty() || !way.is_box() || code.is_nan() {
+    let (Ok(way), 1.., false) = (Zone::new(least_m, most_m), args.len(), code.is_nan()) else {
         return Err("SENSOR [WIDTH [LENGTH [MODEL]]]: WIDTH is at least 0 and LENGTH 0.5, metres; MODEL is a number of docs/layout.md".into());
-    }
+    };
     let mut model = code as u32;
     let mut client = Client::new(&args[0])?;
     let (mut objects, mut heard) = (client.objects()?, Instant::now());

@@ -27,7 +27,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             continue;
         }
         for ((zone, least_m, most_m), empty) in ZONES.into_iter().zip(&mut empty) {
-            let found = view.obstacle(&Zone { least_m, most_m }, LeastReturns::default());
+            let found = view.obstacle(&Zone::new(least_m, most_m)?, LeastReturns::default());
             match *empty {
                 GONE.. if found.is_some() => println!("{zone}: occupied"),
                 before if found.is_none() && before + 1 == GONE => println!("{zone}: empty"),

@@ -23,6 +23,6 @@ pub mod sensor;
 
 pub use image::{Return, SweepMut, SweepRef};
 pub use layout::{BeamRow, Column, Header, Segment, Shape};
-pub use obstacle::{LeastReturns, Obstacle, Zone};
+pub use obstacle::{LeastReturns, NoBox, Obstacle, Zone};
 pub use pose::{Frame, Pose};
 pub use sensor::{Model, ReturnMode};

@@ -19,18 +19,34 @@ const APART_M: f32 = 0.3;
 
 /// A box: x right, y ahead, z up, metres. Points on its faces are in it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[repr(C)]
 pub struct Zone {
-    /// Least x, y and z.
+    least_m: [f64; 3],
+    most_m: [f64; 3],
+}
+
+/// A [`Zone`] that would be no box, and so hold nothing: a way that is never blocked.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "the zone from {least_m:?} to {most_m:?} is no box: no least may be greater than its most, or a NaN"
+)]
+pub struct NoBox {
+    /// Least x, y and z, as given.
     pub least_m: [f64; 3],
-    /// Greatest x, y and z.
+    /// Greatest x, y and z, as given.
     pub most_m: [f64; 3],
 }
 
 impl Zone {
-    /// True if no least is greater than its most, and none is a NaN: else the zone holds nothing.
-    pub fn is_box(&self) -> bool {
-        self.meets([self.least_m, self.most_m])
+    /// A box from its least to its greatest x, y and z.
+    ///
+    /// # Errors
+    /// [`NoBox`] if a least is greater than its most, or one is a NaN.
+    pub fn new(least_m: [f64; 3], most_m: [f64; 3]) -> Result<Self, NoBox> {
+        let zone = Self { least_m, most_m };
+        match zone.meets([least_m, most_m]) {
+            true => Ok(zone),
+            false => Err(NoBox { least_m, most_m }),
+        }
     }
 
     /// True if the point is in the box.
@@ -467,6 +483,18 @@ mod tests {
     }
 
     #[test]
+    fn what_holds_nothing_is_no_zone() {
+        let (least_m, most_m) = ([-1.0, 0.5, 0.0], [1.0, 0.5, f64::INFINITY]);
+        assert!(Zone::new(least_m, most_m).is_ok());
+        for (axis, value) in [(0, 1.1), (1, 0.6), (2, f64::NAN)] {
+            let mut wrong_m = least_m;
+            wrong_m[axis] = value;
+            let error = Zone::new(wrong_m, most_m).unwrap_err();
+            assert!(error.to_string().contains("is no box"), "{error}");
+        }
+    }
+
+    #[test]
     fn the_first_column_is_beside_the_last_of_a_whole_turn() {
         let mut made = Made::new(2, 20, false);
         for column in [0, 19] {
@@ -704,10 +732,8 @@ mod tests {
             sweep.header.position_m = [mount[0], mount[1], mount[2]];
             (sweep.header.yaw_rad, sweep.header.pitch_rad) = (mount[3], mount[4]);
             (sweep.header.roll_rad, sweep.header.height_m) = (mount[5], mount[6]);
-            let zone = Zone {
-                least_m: [ends[0], ends[1], ends[2]],
-                most_m: [ends[3], ends[4], ends[5]],
-            };
+            let zone = Zone::new([ends[0], ends[1], ends[2]], [ends[3], ends[4], ends[5]]);
+            let zone = zone.unwrap_or(AHEAD);
             let (labelled, unlabelled) = least;
             let found = made.sweep().obstacle(&zone, LeastReturns { labelled, unlabelled });
             prop_assert!(found.is_none_or(|found| found.distance_m >= 0.0 && found.returns > 0));

@@ -29,8 +29,7 @@ pub(super) fn frame(header: &Header, sight: Sight, obstacle: &Obstacle) -> Pose 
     };
     let [x_m, y_m, _] = header.position_m;
     let sensor = Pose::mounted([x_m, y_m, height_m], [header.yaw_rad, pitch_rad, roll_rad]);
-    let azimuth_rad = obstacle.azimuth_deg.to_radians() as f32;
-    Pose::mounted([0.0; 3], [azimuth_rad, 0.0, 0.0]) * sensor
+    obstacle.turned(sensor)
 }
 
 impl Obstacle {
@@ -39,20 +38,27 @@ impl Obstacle {
         OFF_M.min(self.distance_m / 2.0)
     }
 
-    /// Returns the zone in which the front of the box should be: what is farther back stands behind it.
+    /// Turns the frame that a pose is in, so that the box is straight ahead.
+    pub(super) fn turned(&self, pose: Pose) -> Pose {
+        let azimuth_rad = self.azimuth_deg.to_radians() as f32;
+        Pose::mounted([0.0; 3], [azimuth_rad, 0.0, 0.0]) * pose
+    }
+
+    /// Returns the zone in which the front of the box should be: what is farther
+    /// back stands behind it.
     pub(super) fn zone(&self) -> Zone {
         let (half_m, off_m) = (self.width_m / 2.0, self.off_m());
-        Zone {
-            least_m: [-half_m, self.distance_m - off_m, LEAST_UP_M],
-            most_m: [half_m, self.distance_m + off_m, self.height_m + OVER_M],
-        }
+        let least_m = [-half_m, self.distance_m - off_m, LEAST_UP_M];
+        let most_m = [half_m, self.distance_m + off_m, self.height_m + OVER_M];
+        Zone::new(least_m, most_m).expect("sizes are at least 0")
     }
 
     /// Whether something there may be the box: as wide and as deep as it is wide, with some play.
-    pub(super) fn holds(&self, point_m: [f64; 3]) -> bool {
-        let mut zone = self.zone();
-        zone.most_m[1] += self.width_m;
-        zone.holds(point_m)
+    pub(super) fn holds(&self, [right_m, ahead_m, up_m]: [f64; 3]) -> bool {
+        let off_m = self.off_m();
+        right_m.abs() <= self.width_m / 2.0
+            && (-off_m..=off_m + self.width_m).contains(&(ahead_m - self.distance_m))
+            && (LEAST_UP_M..=self.height_m + OVER_M).contains(&up_m)
     }
 
     /// The returns on the box, of those of a sweep; none where they are too few for a box.
