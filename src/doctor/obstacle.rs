@@ -23,7 +23,7 @@ use sweepd_core::sweep::layout::{
     LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, TimeSource, flags,
 };
 use sweepd_core::sweep::objects::NewObjects;
-use sweepd_core::sweep::{Header, LeastReturns, Pose, Return, SweepRef};
+use sweepd_core::sweep::{Header, LeastReturns, Pose, Return, SweepRef, Zone};
 
 /// Sweeps that are judged at most.
 pub const SWEEPS: u32 = 100;
@@ -164,6 +164,8 @@ pub struct Trial {
     seen: BTreeMap<Seen, u32>,
     /// Sweeps in which the box is no obstacle, by what becomes of it.
     missed: BTreeMap<Seen, u32>,
+    /// Sweeps in which it is one over the floor that is seen, and not over that of the mount.
+    misplaced: u32,
     /// Of each sweep with returns on the box: how many, their rows, the front, its middle to the
     /// right, and its range from the sensor.
     returns: Vec<f64>,
@@ -196,6 +198,7 @@ impl Trial {
             without_height: 0,
             seen: BTreeMap::new(),
             missed: BTreeMap::new(),
+            misplaced: 0,
             returns: Vec::new(),
             rows: Vec::new(),
             fronts_m: Vec::new(),
@@ -260,9 +263,19 @@ impl Trial {
         let seen = self.judge(&returns, &strikes);
         *self.seen.entry(seen).or_default() += 1;
         let zone = self.obstacle.zone();
-        let found = sweep.obstacle_in(&frame, &zone, LeastReturns::default());
-        if found.is_none() {
-            *self.missed.entry(seen).or_default() += 1;
+        // What `stop` asks, which knows the mount alone.
+        let mount = self.obstacle.turned(Pose::of_mount(header));
+        let on_floor = zone.on_floor(header.floor_m());
+        let is_in = |pose: &Pose, zone: &Zone| {
+            let found = sweep.obstacle_in(pose, zone, LeastReturns::default());
+            found.is_some()
+        };
+        if is_in(&mount, &on_floor) {
+            return;
+        }
+        match is_in(&frame, &zone) {
+            true => self.misplaced += 1,
+            false => *self.missed.entry(seen).or_default() += 1,
         }
     }
 
@@ -339,7 +352,7 @@ impl Trial {
         Report {
             obstacle: self.obstacle,
             sweeps: self.sweeps,
-            as_obstacle: self.sweeps - self.missed.values().sum::<u32>(),
+            as_obstacle: self.sweeps - self.misplaced - self.missed.values().sum::<u32>(),
             own: self.seen.get(&Seen::Own).copied().unwrap_or(0),
             seen: self.seen.clone(),
             returns: median(&self.returns),

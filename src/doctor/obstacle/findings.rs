@@ -25,15 +25,16 @@ impl Trial {
         if report.sweeps == 0 {
             return vec![self.nothing_judged()];
         }
-        let mut findings: Vec<Finding> = self.mount().into_iter().collect();
+        // What is rare is not why it fails.
+        let is_rare = |sweeps: u32| 100 * sweeps < (100 - ENOUGH_PERCENT) * report.sweeps;
+        let is_mount = !report.is_well() && !is_rare(self.misplaced);
+        let mut findings: Vec<Finding> = self.mount(is_mount).into_iter().collect();
         let first = match &findings[..] {
-            [mount] if mount.severity == Severity::Warning && !report.is_well() => {
+            [mount] if mount.severity != Severity::Note && !report.is_well() => {
                 "set the mount first; then,\n"
             }
             _ => "",
         };
-        // What is rare is not why it fails.
-        let is_rare = |sweeps: u32| 100 * sweeps < (100 - ENOUGH_PERCENT) * report.sweeps;
         let mut others: Vec<(Seen, u32)> = report.seen.clone().into_iter().collect();
         others.sort_by_key(|&(_, sweeps)| std::cmp::Reverse(sweeps));
         for (seen, sweeps) in others {
@@ -70,18 +71,36 @@ impl Trial {
         error(what, cure.to_owned())
     }
 
-    /// The mount, where it is not that of the floor.
-    fn mount(&self) -> Option<Finding> {
+    /// The mount, where it is not that of the floor; an error if it is why the box is no obstacle.
+    fn mount(&self, is_why: bool) -> Option<Finding> {
         let finder = self.floor.as_ref()?;
-        let (severity, what, cure) = match finder.sight() {
-            Sight::Floor(seen) => {
-                let difference = floor::difference(&seen, finder.mount())?;
-                let cure = format!("{}:\n{}", floor::CURE, floor::lines(&seen));
-                (Severity::Warning, difference, cure)
-            }
-            _ => (Severity::Note, floor::NOT_SEEN.to_owned(), String::new()),
+        let Sight::Floor(seen) = finder.sight() else {
+            let note = floor::NOT_SEEN.to_owned();
+            return Some(Finding::new(
+                Severity::Note,
+                Topic::Mount,
+                note,
+                String::new(),
+            ));
         };
-        Some(Finding::new(severity, Topic::Mount, what, cure))
+        let difference = floor::difference(&seen, finder.mount());
+        let cure = format!("{}:\n{}", floor::CURE, floor::lines(&seen));
+        if !is_why {
+            return Some(Finding::new(
+                Severity::Warning,
+                Topic::Mount,
+                difference?,
+                cure,
+            ));
+        }
+        let (misplaced, sweeps) = (self.misplaced, self.sweeps);
+        let difference = difference
+            .map(|said| format!(": {said}"))
+            .unwrap_or_default();
+        let what = format!(
+            "in {misplaced} of {sweeps} sweeps it is an obstacle over the floor that is seen, and none over that of the mount{difference}"
+        );
+        Some(Finding::new(Severity::Error, Topic::Mount, what, cure))
     }
 
     /// Returns why the box is no obstacle, or no object of its own, and what to change.

@@ -8,10 +8,12 @@ use sweepd_core::floor::Sight;
 use sweepd_core::sweep::layout::LABEL_GROUND;
 use sweepd_core::sweep::{Header, Pose, Return, SweepRef, Zone};
 
-/// How far the front may be from where it should be, metres.
+/// How far the front may be from where it should be, and what stops a robot above the top, metres.
 const OFF_M: f64 = 0.25;
 /// Returns lower than this over the floor may be the floor, metres.
 const LEAST_UP_M: f64 = 0.03;
+/// From this height over the floor on, `stop` looks, metres.
+const STOP_UP_M: f64 = 0.05;
 /// Returns on the box lie this much above its top at most, metres.
 const OVER_M: f64 = 0.05;
 /// Fewest returns that are taken for a box.
@@ -44,12 +46,12 @@ impl Obstacle {
         Pose::mounted([0.0; 3], [azimuth_rad, 0.0, 0.0]) * pose
     }
 
-    /// Returns the zone in which the front of the box should be: what is farther
-    /// back stands behind it.
+    /// Returns the part of the way of `stop` in which the front of the box should be: what is farther
+    /// back stands behind it. Its z counts from the floor.
     pub(super) fn zone(&self) -> Zone {
         let (half_m, off_m) = (self.width_m / 2.0, self.off_m());
-        let least_m = [-half_m, self.distance_m - off_m, LEAST_UP_M];
-        let most_m = [half_m, self.distance_m + off_m, self.height_m + OVER_M];
+        let least_m = [-half_m, self.distance_m - off_m, STOP_UP_M];
+        let most_m = [half_m, self.distance_m + off_m, self.height_m + OFF_M];
         Zone::new(least_m, most_m).expect("sizes are at least 0")
     }
 
