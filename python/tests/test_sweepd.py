@@ -456,7 +456,7 @@ class Geometry(unittest.TestCase):
         self.assertEqual((sweep.floor_m, sweep.mount.tolist()), (-float(sweep.header["height_m"]), np.identity(4).tolist()))
         labels = (False, sweep.label), (True, sweep.label2)
         points = np.concatenate([sweep.points(other=other)[label >= 2] for other, label in labels])
-        least_m, most_m = np.array([-3, 1, 0.3]), np.array([3, 30, 2.5])
+        zone = least_m, most_m = np.array([-3, 1, 0.3]), np.array([3, 30, 2.5])
         above = points - [0, 0, sweep.floor_m]
         inside = points[((above >= least_m) & (above <= most_m)).all(axis=1)]
         found = sweep.obstacle(least_m, most_m.tolist(), unlabelled=16)
@@ -466,9 +466,12 @@ class Geometry(unittest.TestCase):
         self.assertIsNone(sweep.obstacle(least_m, most_m, labelled=len(inside) + 1, unlabelled=16))
         with self.assertRaisesRegex(sweepd.SweepdError, "is no box"):
             sweep.obstacle(most_m, least_m)
-        for least_m, counts in (([0, 0], {}), ([0, 0, 0], {"labelled": -1})):
-            with self.assertRaises(ValueError):
-                sweep.obstacle(least_m, [1] * len(least_m), **counts)
+        for size, counts in (2, {}), (3, {"labelled": -1}), (3, {"labelled": 2**32}), (3, {"unlabelled": 2**32 + 4}):
+            with self.assertRaisesRegex(ValueError, "0 to 4294967295"):
+                sweep.obstacle([0] * size, [1] * size, **counts)
+        with self.assertRaisesRegex(TypeError, "integer"):
+            sweep.obstacle([0, 0, 0], [1, 1, 1], labelled=2.5)
+        self.assertEqual(sweep.obstacle(*zone, labelled=np.uint8(3)), sweep.obstacle(*zone))
 
     def test_a_deskewed_cloud_is_sharp(self):
         """Six turns of a room, seen from a robot that moves and turns: cells of 10 cm that its walls and shelves are in."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from typing import TYPE_CHECKING, Any, Callable, NamedTuple, Union
 
 import numpy as np
@@ -218,14 +219,17 @@ class Sweep(Headed):
         a mask or the limits of range keep out of segments have no label, and so can be an obstacle. The other return of a
         pixel is without label only where the segmented one is, too.
 
-        Raises `SweepdError` for a zone that is no box.
+        It needs libsweepd, as `Client` does: the one in the wheel, or that which SWEEPD_LIBRARY names. Raises `SweepdError`
+        where that is missing, and for a zone that is no box.
         """
-        zone, least = np.array([least_m, most_m], dtype=float), np.array([labelled, unlabelled])
-        if zone.shape != (2, 3) or least.min() < 0:
-            raise ValueError("a zone is two triples of numbers, and no count of returns is less than 0")
-        least, found = least.astype(np.uint32), np.zeros((), FOUND)
+        zone = np.array([least_m, most_m], dtype=float)
+        counts = operator.index(labelled), operator.index(unlabelled)
+        if zone.shape != (2, 3) or not all(0 <= count < 2**32 for count in counts):
+            raise ValueError("a zone is two triples of numbers, and a count of returns is 0 to 4294967295")
+        least, found = np.array(counts, np.uint32), np.zeros((), FOUND)
+        data = np.require(self._data, requirements=["C", "ALIGNED"])
         is_found = _library.library().sweepd_find_obstacle(
-            self._data.ctypes.data, self._data.nbytes, zone.ctypes.data, least.ctypes.data, found.ctypes.data
+            data.ctypes.data, data.nbytes, zone.ctypes.data, least.ctypes.data, found.ctypes.data
         )
         if is_found < 0:
             raise SweepdError(_library.error())
