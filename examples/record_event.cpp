@@ -8,15 +8,18 @@
 constexpr sweepd_zone zone = {{-1.0, 0.5, 0.05}, {1.0, 5.0, 2.0}};
 
 int main(int argc, char** argv) try {
-    const std::string sensor = argc > 1 ? argv[1] : "";
-    const double seconds = argc > 2 ? std::atof(argv[2]) : 10;
+    char* end = nullptr;
+    const double seconds = argc > 2 ? std::strtod(argv[2], &end) : 10;
+    if (argc < 2 || argc > 3 || (end && *end) || !(seconds >= 0.1 && seconds <= 1e9))
+        throw sweepd::Error("SENSOR [SECONDS]: SECONDS is 0.1 to 1e9");
+    const std::string sensor = argv[1];
     for (sweepd::Client client(sensor);;) {
         const auto sweep = client.next(std::chrono::seconds(1));
         if (!sweep) std::fprintf(stderr, "nothing is heard of %s\n", sensor.c_str());
         if (!sweep) continue;
-        const bool is_known = sweep->header().height_m != 0;
-        if (!is_known) std::fprintf(stderr, "the height of %s is not known yet, nor is what is ground\n", sensor.c_str());
-        if (!is_known || !sweep->obstacle(zone)) continue;
+        if (sweep->header().height_m == 0)
+            std::fprintf(stderr, "the height of %s is not known: set `height_m` in `[sensor.mount]`\n", sensor.c_str());
+        if (!sweep->obstacle(zone)) continue;
         const auto time_ms = std::chrono::system_clock::now().time_since_epoch() / std::chrono::milliseconds(1);
         const std::string file = "event_" + std::to_string(time_ms) + ".pcap";
         std::printf("recording %s\n", file.c_str());

@@ -6,10 +6,11 @@ Silence does not mean that a zone is free: docs/segmentation.md says which thing
 import sys
 
 import sweepd
+from sweepd.layout import PARTIAL, STOPPED
 
 # Least and greatest x (right), y (ahead) and z (up from the floor), metres.
 ZONES_M = {"ahead": ([-1, 0.5, 0.05], [1, 5, 2]), "left": ([-3, -1, 0.05], [-1, 1, 2])}
-# Sweeps without an obstacle after which it is gone.
+# Whole turns without an obstacle after which it is gone.
 GONE = 3
 
 if len(sys.argv) < 2:
@@ -24,14 +25,15 @@ try:
             print(f"nothing is heard of {sensor}", file=sys.stderr, flush=True)
             continue
         if sweep.header["height_m"] == 0:
-            print(f"the height of {sensor} is not known yet, nor is what is ground", file=sys.stderr, flush=True)
-            continue
+            print(f"the height of {sensor} is not known: set `height_m` in `[sensor.mount]`", file=sys.stderr, flush=True)
+        is_whole = not sweep.has(PARTIAL | STOPPED)
         for zone, (least_m, most_m) in ZONES_M.items():
             is_occupied = sweep.obstacle(least_m, most_m) is not None
-            if is_occupied and empty[zone] >= GONE:
+            # Only a whole turn has looked everywhere.
+            before, empty[zone] = empty[zone], 0 if is_occupied else empty[zone] + is_whole
+            if is_occupied and before >= GONE:
                 print(f"{zone}: occupied", flush=True)
-            empty[zone] = 0 if is_occupied else empty[zone] + 1
-            if empty[zone] == GONE:
+            if before < GONE == empty[zone]:
                 print(f"{zone}: empty", flush=True)
 except KeyboardInterrupt:
     pass

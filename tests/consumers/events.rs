@@ -9,11 +9,10 @@ use serde_json::Value;
 use sweepd::sensor::Model;
 use sweepd_lab::cast::{Scene, Sensor, Solid};
 
-use super::common::library::rust_example;
 use super::common::setup::{Process, SOON, Setup};
-use super::common::{program, python_with_numpy, sweepd};
+use super::common::{program, sweepd};
 use super::of_project;
-use super::programs::cpp_examples;
+use super::pallet::commands;
 use super::python::Talk;
 use super::sending::Sending;
 
@@ -39,15 +38,9 @@ impl Stage {
         );
         let daemon = setup.daemon();
         let mut client = setup.client();
-        let python = of_project("examples/python").join(format!("{example}.py"));
-        let commands: [Vec<OsString>; 3] = [
-            vec![rust_example(example).into()],
-            vec![python_with_numpy(), python.into()],
-            vec![cpp_examples().join(example).into()],
-        ];
         let sensor = Sensor::new(Model::Vlp16, HEIGHT_M);
         let scenes = Vec::from_iter(scenes.into_iter().map(Scene::with));
-        let examples = Vec::from_iter(commands.iter().zip(["rust", "python", "cpp"]).map(
+        let examples = Vec::from_iter(commands(example).iter().zip(["rust", "python", "cpp"]).map(
             |(command, language)| {
                 let folder = setup.path(language);
                 std::fs::create_dir(&folder).unwrap();

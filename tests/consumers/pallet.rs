@@ -21,7 +21,7 @@ use super::common::library::rust_example;
 use super::common::python_with_numpy;
 use super::common::setup::{SOON, Setup};
 use super::of_project;
-use super::programs::cpp_examples;
+use super::programs::{SILENCE, cpp_examples};
 use super::python::Talk;
 use super::sending::Sending;
 
@@ -35,18 +35,18 @@ const SWEEPS: usize = 15;
 /// The scene of the pallet; the first has the floor alone.
 const PALLET: usize = 1;
 
-/// The example in each language.
-pub fn stop_commands() -> [Vec<OsString>; 3] {
-    let script = of_project("examples/python/stop.py");
+/// An example in each language: Rust, Python and C++.
+pub fn commands(example: &str) -> [Vec<OsString>; 3] {
+    let script = of_project("examples/python").join(format!("{example}.py"));
     [
-        vec![rust_example("stop").into()],
+        vec![rust_example(example).into()],
         vec![python_with_numpy(), script.into()],
-        vec![cpp_examples().join("stop").into()],
+        vec![cpp_examples().join(example).into()],
     ]
 }
 
-/// Starts it beside a daemon.
-pub fn start_stop(command: &[OsString], root: &OsStr, args: &[&str]) -> Talk {
+/// Starts one beside a daemon.
+pub fn start(command: &[OsString], root: &OsStr, args: &[&str]) -> Talk {
     let mut variable = OsString::from("SWEEPD_ROOT=");
     variable.push(root);
     let mut all = vec![variable.as_os_str()];
@@ -81,7 +81,7 @@ fn a_pallet_stops_a_robot_and_the_floor_does_not() {
         let _daemon = setup.daemon();
         let mut client = setup.client();
         let root = setup.own.root().as_os_str();
-        let programs = stop_commands().map(|command| start_stop(&command, root, &[]));
+        let programs = commands("stop").map(|command| start(&command, root, &[]));
         let sending = Sending::new(sensor, scenes.clone(), setup.port);
         for _ in 0..SWEEPS {
             client.next(SOON).unwrap().received().expect("a sweep");
@@ -166,15 +166,15 @@ fn told_in_time(client: &mut Client) -> (RangeInclusive<u64>, bool) {
     ignore = "no SWEEPD_PYTHON, or no compilers"
 )]
 fn a_corridor_is_free_until_pallets_come() {
-    for seed in 1..=3 {
+    for seed in 1..=6 {
         let setup = Setup::new("mount = { z_m = 0.4, height_m = 0.4 }", "");
         let _daemon = setup.daemon();
         let mut client = setup.client();
         let root = setup.own.root().as_os_str();
-        let programs = stop_commands().map(|command| start_stop(&command, root, &WAY));
+        let programs = commands("stop").map(|command| start(&command, root, &WAY));
         // All are there before the first sweep.
         for said in &programs {
-            assert_eq!(said.line(), "stop: nothing is heard of roof");
+            assert_eq!(said.line(), SILENCE);
         }
         let sending = send_corridor(seed, setup.port);
         let (numbers, is_steady) = told_in_time(&mut client);
@@ -187,7 +187,7 @@ fn a_corridor_is_free_until_pallets_come() {
                 }
                 match &line[..] {
                     // Until the first turn, and on a machine that is too busy.
-                    "stop: nothing is heard of roof" if hints == 0 || !is_steady => {}
+                    SILENCE if hints == 0 || !is_steady => {}
                     _ if line.starts_with("object ahead, not confirmed: ") => hints += 1,
                     _ => panic!("corridor {seed}: {line}"),
                 }

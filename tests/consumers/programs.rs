@@ -9,14 +9,14 @@ use std::time::{Duration, Instant};
 
 use sweepd::client::Client;
 use sweepd::publish::Loans;
-use sweepd::sweep::layout::is_return;
+use sweepd::sweep::layout::{flags, is_return};
 use sweepd::sweep::objects::ObjectsHeader;
 use sweepd::sweep::{BeamRow, Column, Header, Pose, SweepMut, SweepRef};
 use zerocopy::{FromBytes, FromZeros, IntoBytes};
 
 use super::common::library::{compile, library, rust_example};
 use super::common::{python_package, python_with_numpy, temp_domain};
-use super::pallet::{start_stop, stop_commands};
+use super::pallet::{commands, start};
 use super::python::{LIMIT, Talk, loans, numbered, publish};
 use super::sweeps::Source;
 use super::{folder, objects, of_project};
@@ -227,7 +227,7 @@ fn quiet() -> Header {
     header
 }
 
-const SILENCE: &str = "stop: nothing is heard of roof";
+pub const SILENCE: &str = "stop: no whole turn of roof came for 0.3 s";
 
 #[test]
 #[cfg_attr(
@@ -235,13 +235,13 @@ const SILENCE: &str = "stop: nothing is heard of roof";
     ignore = "no SWEEPD_PYTHON, or no compilers"
 )]
 fn stop_is_said_of_what_is_in_the_way_and_while_nothing_is_known() {
-    for (command, blind) in stop_commands()
+    for (command, blind) in commands("stop")
         .into_iter()
         .zip(["roof: blind: ", "0x100", "0x100"])
     {
         let own = temp_domain();
         let mut loans = loans(&own);
-        let mut stop = start_stop(&command, own.root().as_os_str(), &["1", "3"]);
+        let mut stop = start(&command, own.root().as_os_str(), &["1", "3"]);
         assert_eq!(stop.line(), SILENCE);
         let mut header = quiet();
         while publish_returns(&mut loans, &header, 0) == 0 {
@@ -250,7 +250,11 @@ fn stop_is_said_of_what_is_in_the_way_and_while_nothing_is_known() {
         // One after the other, however long the machine was silent in between.
         for (change, returns, words) in [
             ((1, 0, 1.5), 3, "stop: an obstacle at 2.50 m, sweep 1"),
-            ((1, 0, 0.0), 3, "stop: the height of roof is not known yet"),
+            (
+                (1, 0, 0.0),
+                3,
+                "stop: the height of roof is not known: set `height_m`",
+            ),
             ((1, 0x100, 1.5), 0, blind),
             ((2, 0, 1.5), 2, "stop: roof is of model 2, not 1"),
             ((1, 0, 1.5), 4, "stop: an obstacle at 2.50 m, sweep 5"),
@@ -269,6 +273,19 @@ fn stop_is_said_of_what_is_in_the_way_and_while_nothing_is_known() {
             assert_eq!(line, SILENCE);
         }
         assert_eq!(stop.line(), SILENCE, "of a sensor that is off");
+        // A part of a turn, and a head that stands still: asked, but no look at the whole way.
+        for flag in [flags::PARTIAL, flags::STOPPED] {
+            (header.flags, header.sequence) = (flag, 7);
+            publish_returns(&mut loans, &header, 3);
+            while stop.line() != "stop: an obstacle at 2.50 m, sweep 7" {}
+            let begun = Instant::now();
+            let mut said = std::iter::repeat_with(|| {
+                assert!(begun.elapsed() < LIMIT, "such sweeps are enough");
+                publish_returns(&mut loans, &header, 0);
+                stop.try_line(Duration::from_millis(50))
+            });
+            while said.next().flatten().as_deref() != Some(SILENCE) {}
+        }
         interrupt(&mut stop);
     }
 }
@@ -280,23 +297,24 @@ fn stop_is_said_of_what_is_in_the_way_and_while_nothing_is_known() {
     ignore = "no SWEEPD_PYTHON, or no compilers"
 )]
 fn objects_in_the_way_are_told_as_not_confirmed() {
-    for command in stop_commands() {
+    for command in commands("stop") {
         let own = temp_domain();
         let mut loans = objects::loans(&own);
-        let mut stop = start_stop(&command, own.root().as_os_str(), &[]);
+        let mut stop = start(&command, own.root().as_os_str(), &[]);
         publish_until_there(&mut loans, objects::message(&objects::honest()));
         // Of three objects two are in the way. Where the robot's origin is in the sensor, 1.5 m over
-        // the floor, they are too.
-        let mut hanging = objects::honest();
-        let (header, _) = ObjectsHeader::mut_from_prefix(hanging.as_mut_bytes()).unwrap();
-        header.position_m[2] = 0.0;
-        for message in [None, Some(hanging)] {
-            if let Some(message) = message {
-                objects::publish(&mut loans, objects::message(&message));
+        // the floor, they are too, and so they are if nobody knows how high anything is.
+        for place in [None, Some((0.0, 1.5)), Some((-50.0, 0.0))] {
+            if let Some((z_m, height_m)) = place {
+                let mut moved = objects::honest();
+                let (header, _) = ObjectsHeader::mut_from_prefix(moved.as_mut_bytes()).unwrap();
+                (header.position_m[2], header.height_m) = (z_m, height_m);
+                objects::publish(&mut loans, objects::message(&moved));
             }
             let said = std::iter::repeat_with(|| stop.line()).filter(|line| line != SILENCE);
             for (nearest_m, said) in ["2.50", "3.50"].into_iter().zip(said) {
-                let begins = format!("object ahead, not confirmed: {nearest_m} m away, seen ");
+                let begins =
+                    format!("object ahead, not confirmed: {nearest_m} m from the sensor, seen ");
                 let age = said.strip_prefix(&begins);
                 let age = age.and_then(|age| age.strip_suffix(" ms ago"));
                 assert!(is_recent(age), "{said}");
@@ -315,32 +333,90 @@ fn objects_in_the_way_are_told_as_not_confirmed() {
     }
 }
 
+/// Without a height nobody knows what is ground, and a part of a turn has not looked everywhere.
+#[test]
+#[cfg_attr(
+    any(without_python, without_compilers),
+    ignore = "no SWEEPD_PYTHON, or no compilers"
+)]
+fn zones_are_asked_without_a_height_and_empty_after_whole_turns() {
+    for command in commands("zones") {
+        let own = temp_domain();
+        let mut loans = loans(&own);
+        let mut zones = start(&command, own.root().as_os_str(), &[]);
+        let mut header = quiet();
+        (header.height_m, header.flags) = (0.0, flags::PARTIAL);
+        let mut said = None;
+        while said.is_none() {
+            publish_returns(&mut loans, &header, 3);
+            said = zones.try_line(Duration::from_millis(20));
+        }
+        assert_eq!(said.as_deref(), Some("ahead: occupied"));
+        for _ in 0..5 {
+            publish_returns(&mut loans, &header, 0);
+            assert_eq!(zones.try_line(Duration::from_millis(50)), None);
+        }
+        header.flags = 0;
+        for turn in 1..=3 {
+            publish_returns(&mut loans, &header, 0);
+            let wait = if turn == 3 {
+                LIMIT
+            } else {
+                Duration::from_millis(50)
+            };
+            let expected = (turn == 3).then(|| "ahead: empty".to_owned());
+            assert_eq!(zones.try_line(wait), expected);
+        }
+        interrupt(&mut zones);
+    }
+}
+
+/// Each language says the same of arguments that cannot be meant.
 #[test]
 #[cfg_attr(
     any(without_python, without_compilers),
     ignore = "no SWEEPD_PYTHON, or no compilers"
 )]
 fn stop_refuses_a_way_that_is_none() {
-    for command in stop_commands() {
-        let (program, rest) = command.split_first().unwrap();
-        for args in [
-            &["-1"][..],
-            &["2", "0.4"],
-            &["nan"],
-            &["x"],
-            &["2", "5", "VLP-16"],
-        ] {
-            let mut command = Command::new(program);
-            command
-                .args(rest)
-                .arg("roof")
-                .args(args)
-                .envs(python_package());
-            let output = command.output().unwrap();
+    let stop = "SENSOR [WIDTH [LENGTH [MODEL]]]: WIDTH is at least 0 and LENGTH 0.5, metres; MODEL is a number of docs/layout.md";
+    let record = "SENSOR [SECONDS]: SECONDS is 0.1 to 1e9";
+    for (example, sentence, args) in [
+        ("stop", stop, &["-1"][..]),
+        ("stop", stop, &["nan"]),
+        ("stop", stop, &["x"]),
+        ("stop", stop, &[""]),
+        ("stop", stop, &["2", "0.4"]),
+        ("stop", stop, &["2", ""]),
+        ("stop", stop, &["2", "5", "VLP-16"]),
+        ("stop", stop, &["2", "5", "-5"]),
+        ("stop", stop, &["2", "5", "2.5"]),
+        ("stop", stop, &["2", "5", ""]),
+        ("stop", stop, &["2", "5", "4294967296"]),
+        ("stop", stop, &["2", "5", "1", "1"]),
+        ("record_event", record, &["ten"]),
+        ("record_event", record, &[""]),
+        ("record_event", record, &["0"]),
+        ("record_event", record, &["nan"]),
+        ("record_event", record, &["10", "--mcap"]),
+    ] {
+        for command in commands(example) {
+            let mut refused = Command::new(&command[0]);
+            refused.args(&command[1..]).arg("roof").args(args);
+            let output = refused.envs(python_package()).output().unwrap();
             let said = String::from_utf8_lossy(&output.stderr);
-            let is_clear = said.contains("WIDTH") || said.contains("invalid");
+            let is_clear = said.contains(sentence) && said.lines().count() == 1;
             assert!(!output.status.success() && is_clear, "{args:?}: {said}");
         }
+    }
+    for command in commands("record_event") {
+        let mut refused = Command::new(&command[0]);
+        let output = refused.args(&command[1..]).envs(python_package()).output();
+        let output = output.unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(
+            !output.status.success() && said.contains("[SECONDS]"),
+            "{said}"
+        );
     }
 }
 

@@ -3,11 +3,11 @@
 //!     cargo run --release -p sweepd-client --example stop -- SENSOR [WIDTH [LENGTH [MODEL]]]
 //!
 //! The way is WIDTH wide and LENGTH long, metres, from the robot's origin; it begins 0.5 m ahead and
-//! goes from 5 cm to 2 m over the floor. "stop" is also said while sweeps stay away for 0.3 s, while
+//! goes from 5 cm to 2 m over the floor. "stop" is also said while whole turns stay away for 0.3 s, while
 //! the sensor does not see what it should or its height is not known, and of a sweep of another model:
-//! a number of docs/layout.md, by default that of the first sweep.
+//! a number of docs/layout.md, 0 (the default) for that of the first sweep.
 //!
-//! "stop" takes whole sweeps. "object ahead, not confirmed" comes earlier, while the head turns: the
+//! "stop" takes sweeps. "object ahead, not confirmed" comes earlier, while the head turns: the
 //! box of an object reaches into the way. So does that of a wall beside it: slow down, do not stop.
 //!
 //! **No output does not mean that the way is free.** What lies nearer than the lowest beam, or than
@@ -18,13 +18,13 @@
 use std::time::{Duration, Instant};
 
 use sweepd_client::sweep::{Frame, LeastReturns, SweepRef, Zone};
-use sweepd_client::sweep::{eye::eye_sentence, objects::ObjectsRef};
+use sweepd_client::sweep::{eye::eye_sentence, layout::flags, objects::ObjectsRef};
 use sweepd_client::{client::Client, host::realtime_ns};
 
 /// A sensor that is well gives a sweep at least this often: it turns five times a second or faster.
 const SILENCE: Duration = Duration::from_millis(300);
 
-/// Says why the robot must stop by a whole sweep.
+/// Says why the robot must stop by a sweep.
 fn sweep_says(name: &str, sweep: &SweepRef<'_>, way: &Zone, model: u32) {
     let header = sweep.header;
     if header.model != model {
@@ -34,7 +34,7 @@ fn sweep_says(name: &str, sweep: &SweepRef<'_>, way: &Zone, model: u32) {
         println!("stop: {name}: {sentence}");
     }
     if header.height_m == 0.0 {
-        println!("stop: the height of {name} is not known yet, nor is what is ground");
+        println!("stop: the height of {name} is not known: set `height_m` in `[sensor.mount]`");
     } else if let Some(found) = sweep.obstacle(way, LeastReturns::default()) {
         let (at_m, number) = (found.distance_m, header.sequence);
         println!("stop: an obstacle at {at_m:.2} m, sweep {number}");
@@ -49,8 +49,8 @@ fn objects_say(message: &ObjectsRef<'_>, way: &Zone) {
         // What is wide was there in parts before, whose boxes say more.
         if !object.segment.is_wide() && way.meets(bounds_m) {
             let (at_m, last_ns) = (object.segment.nearest_m, i64::from(object.last_ns));
-            let age_ms = since_ns.saturating_sub(last_ns) / 1_000_000;
-            println!("object ahead, not confirmed: {at_m:.2} m away, seen {age_ms} ms ago");
+            let ms = since_ns.saturating_sub(last_ns) / 1_000_000;
+            println!("object ahead, not confirmed: {at_m:.2} m from the sensor, seen {ms} ms ago");
         }
     }
 }
@@ -58,13 +58,12 @@ fn objects_say(message: &ObjectsRef<'_>, way: &Zone) {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let text = |at: usize, absent| args.get(at).map_or(absent, String::as_str);
-    let numbers = [text(1, "2"), text(2, "5"), text(3, "0")];
-    let [width_m, length_m, code] = numbers.map(|text| text.parse().unwrap_or(f64::NAN));
+    let [width_m, length_m] = [text(1, "2"), text(2, "5")].map(|m| m.parse().unwrap_or(f64::NAN));
     let (least_m, most_m) = ([-width_m / 2.0, 0.5, 0.05], [width_m / 2.0, length_m, 2.0]);
-    let (Ok(way), 1.., false) = (Zone::new(least_m, most_m), args.len(), code.is_nan()) else {
+    let (way, model) = (Zone::new(least_m, most_m), text(3, "0").parse::<u32>());
+    let (Ok(way), Ok(mut model), 1..=4) = (way, model, args.len()) else {
         return Err("SENSOR [WIDTH [LENGTH [MODEL]]]: WIDTH is at least 0 and LENGTH 0.5, metres; MODEL is a number of docs/layout.md".into());
     };
-    let mut model = code as u32;
     let mut client = Client::new(&args[0])?;
     let (mut objects, mut heard) = (client.objects()?, Instant::now());
     loop {
@@ -76,10 +75,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             let view = sweep.view()?;
             model = if model == 0 { view.header.model } else { model };
             sweep_says(&args[0], &view, &way, model);
-            heard = Instant::now();
+            // Only a whole turn has looked everywhere.
+            if !view.header.has(flags::PARTIAL | flags::STOPPED) {
+                heard = Instant::now();
+            }
         }
         if heard.elapsed() > SILENCE {
-            println!("stop: nothing is heard of {}", args[0]);
+            println!("stop: no whole turn of {} came for 0.3 s", args[0]);
             heard = Instant::now();
         }
     }

@@ -3,14 +3,14 @@
 
 use std::time::Duration;
 use sweepd_client::client::Client;
-use sweepd_client::sweep::{LeastReturns, Zone};
+use sweepd_client::sweep::{LeastReturns, Zone, layout::flags};
 
 /// Least and greatest x (right), y (ahead) and z (up from the floor), metres.
 const ZONES: [(&str, [f64; 3], [f64; 3]); 2] = [
     ("ahead", [-1.0, 0.5, 0.05], [1.0, 5.0, 2.0]),
     ("left", [-3.0, -1.0, 0.05], [-1.0, 1.0, 2.0]),
 ];
-/// Sweeps without an obstacle after which it is gone.
+/// Whole turns without an obstacle after which it is gone.
 const GONE: u64 = 3;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -23,17 +23,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         };
         let view = sweep.view()?;
         if view.header.height_m == 0.0 {
-            eprintln!("the height of {sensor} is not known yet, nor is what is ground");
-            continue;
+            eprintln!("the height of {sensor} is not known: set `height_m` in `[sensor.mount]`");
         }
+        let is_whole = !view.header.has(flags::PARTIAL | flags::STOPPED);
         for ((zone, least_m, most_m), empty) in ZONES.into_iter().zip(&mut empty) {
             let found = view.obstacle(&Zone::new(least_m, most_m)?, LeastReturns::default());
-            match *empty {
-                GONE.. if found.is_some() => println!("{zone}: occupied"),
-                before if found.is_none() && before + 1 == GONE => println!("{zone}: empty"),
+            let now = found.map_or(*empty + u64::from(is_whole), |_| 0);
+            match (*empty, now) {
+                (GONE.., 0) => println!("{zone}: occupied"),
+                (..GONE, GONE) => println!("{zone}: empty"),
                 _ => {}
             }
-            *empty = if found.is_some() { 0 } else { *empty + 1 };
+            *empty = now;
         }
     }
 }
