@@ -194,7 +194,7 @@ class Replayed(unittest.TestCase):
                 if name == "sensor":
                     self.assertTrue((made[name] == expected[name]).all())
                 else:
-                    self.assertLess((made[name] - expected[name]).abs().max(), 0.000_06, name)
+                    self.assertLess((made[name].astype(float) - expected[name]).abs().max(), 0.000_06, name)
 
     @unittest.skipUnless(__import__("importlib.util").util.find_spec("pandas"), "no pandas")
     def test_examples_say_what_they_want(self):
