@@ -502,6 +502,12 @@ fn the_robots_frame_is_that_of_replay() {
              points.position[3 * at + axis] > segment.max_m[axis] + 1e-3)) outside++; } \
              return segments.length > 10 ? outside : -1; })()";
         assert_eq!(tab.value(inside), Value::from(0));
+        // A box has twelve lines of two ends; a wide segment has none, nor has a flat one.
+        let boxed = "(() => { const { segments, outlines } = window.sweepd.page.cloud.last; \
+             const high = segments.filter(({ min_m, max_m }) => max_m[2] - min_m[2] >= 0.2); \
+             const boxed = high.filter(({ flags }) => (flags & 1) === 0); \
+             return boxed.length < high.length && outlines.count === 24 * boxed.length; })()";
+        assert_eq!(tab.value(boxed), Value::Bool(true));
         tab.close();
     }
 }
