@@ -23,7 +23,7 @@ pub(super) struct Climb {
     /// Height of the sensor over the ground, metres; `None` while it is unknown: then nothing is
     /// ground.
     pub height_m: Option<f32>,
-    /// What the robot climbs.
+    /// Highest kerb that the robot climbs.
     pub kerb: Kerb,
     /// Which columns of a row are ground.
     pub ground: [Words; MAX_ROWS],
@@ -37,7 +37,7 @@ impl Default for Climb {
     fn default() -> Self {
         Self {
             height_m: None,
-            kerb: Kerb::new(0.2),
+            kerb: Kerb::default(),
             ground: [[0; 3]; MAX_ROWS],
             spots: Box::new([Spots::default(); MAX_ROWS]),
             found: Box::new([ClimbedRow::default(); MAX_ROWS]),
@@ -297,7 +297,7 @@ impl<S: Simd> Spot<S> {
 }
 
 /// The highest kerb that a robot climbs, in steps of a height.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Kerb {
     /// Highest face of a kerb.
     face: i16,
@@ -306,14 +306,14 @@ pub(super) struct Kerb {
 }
 
 impl Kerb {
-    /// Of a robot that climbs so much, metres.
+    /// Kerb of a robot that climbs steps of this height, metres.
     pub fn new(climb_m: f32) -> Self {
         let face = height(climb_m);
         let rise = (face + face / 2).max(LEAST_STEP);
         Self { face, rise }
     }
 
-    /// Whether a return is on a higher step.
+    /// True where a return is on a higher step.
     #[inline(always)]
     fn is_exceeded<S: Simd>(self, rise: S::i16s, ahead: S::i16s, face: S::mask16s) -> S::mask16s {
         let ramp: S::i16s = ahead - (ahead >> RAMP_SHIFT);
@@ -334,6 +334,7 @@ struct Climber<S: Simd> {
     waits: S::mask16s,
     /// Whether the edge lies on a step that the robot does not climb, or on a face that is an object.
     on_object: S::mask16s,
+    /// Highest kerb that the robot climbs.
     kerb: Kerb,
 }
 
@@ -530,7 +531,7 @@ mod tests {
         find_climbing(0.2, column)
     }
 
-    /// The same on a robot that climbs so much.
+    /// Ground as of [`find_low`], for a robot that climbs steps of this height.
     fn find_climbing(climb_m: f32, column: &[(f64, f64)]) -> u32 {
         let column: Vec<(f64, f64)> = column
             .iter()

@@ -59,7 +59,7 @@ pub(super) const MAX_STEP: i16 = height(0.05);
 pub(super) const MAX_LEAN: i16 = away(0.05);
 /// Of a face, what is no higher than this over the foothold is ground.
 pub(super) const MAX_FOOT: i16 = height(0.02);
-/// What rises no more is no step, if it is no face.
+/// Rise above which a return of no face can be a step.
 pub(super) const LEAST_STEP: i16 = height(0.1);
 /// A ramp rises as the steepest way less that, halved so often: 15 %.
 pub(super) const RAMP_SHIFT: u32 = 2;

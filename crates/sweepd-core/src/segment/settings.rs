@@ -231,7 +231,7 @@ impl Setting {
         }
     }
 
-    /// Whether it says how the sensor sits on the robot, and so is of [`Mount`].
+    /// True if the setting says how the sensor sits on the robot: it is of [`Mount`].
     pub fn is_of_mount(&self) -> bool {
         let mut config = Config::default();
         self.set(&mut config, *self.range.start());

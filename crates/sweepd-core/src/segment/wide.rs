@@ -9,19 +9,19 @@ use crate::sweep::{Segment, SweepMut};
 /// Tells which segments of a sweep are wide.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Wide {
-    /// What spans more columns is wide.
+    /// Most columns that a segment spans without being wide.
     most_columns: usize,
 }
 
 impl Wide {
-    /// Of a sweep whose columns are this far apart, radians.
+    /// Limit for a sweep whose columns are this far apart, radians.
     pub fn new(max_width_rad: f32, pitch_rad: f32) -> Self {
         // The pitch of a single column is 0.
         let most_columns = (max_width_rad / pitch_rad.max(1e-6)) as usize;
         Self { most_columns }
     }
 
-    /// Whether this many columns are more than an object may have in one part.
+    /// True if this many columns are more than an object may have in one part.
     pub fn spans(self, columns: usize) -> bool {
         columns > self.most_columns
     }

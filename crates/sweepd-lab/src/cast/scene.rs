@@ -108,7 +108,7 @@ impl Ground {
 }
 
 impl Solid {
-    /// Where a ray enters it if it stands at this height, metres along the ray.
+    /// Distance along a ray at which it enters the solid, which stands at this height, metres.
     fn meets(&self, ray: &Ray, foot_m: f64) -> Option<f64> {
         let middle_m = self.middle_m();
         let from = [ray.from_m[0] - middle_m[0], ray.from_m[1] - middle_m[1]];

@@ -26,7 +26,7 @@ pub struct Sensor {
     pub pitch_rad: f64,
     /// Right side down, radians.
     pub roll_rad: f64,
-    /// What the wheels climb, metres.
+    /// Height of a step that the wheels climb, metres.
     pub climb_m: f64,
     /// How much more its pitch is told to be, radians.
     pub pitch_error_rad: f64,

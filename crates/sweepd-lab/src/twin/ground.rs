@@ -17,12 +17,12 @@ const NOISE: i32 = height_of(0.07);
 const FLAT: i32 = 40;
 /// The lowest part of a face is ground, up to this.
 const FOOT: i32 = height_of(0.02);
-/// What rises more is an object.
+/// Rise above which a return is an object.
 const HIGHEST: i32 = height_of(0.3);
 /// What rises more from a foothold as far before as this is not in doubt.
 const HIGHEST_FAR: i32 = height_of(0.15);
 const FAR: i32 = distance_of(3.0);
-/// What rises no more is no step, if it is no face.
+/// Rise above which a return of no face can be a step.
 const LEAST_STEP: i32 = height_of(0.1);
 /// A fall of less is little however steep it is.
 const DEEPEST: i32 = height_of(0.3);
@@ -113,7 +113,7 @@ fn parts(spots: &[Spot]) -> Vec<Part> {
 
 /// The way up a column.
 struct Climb<'a> {
-    /// What the robot climbs.
+    /// Height of a step that the robot climbs.
     climb: i32,
     /// The ground return that the way has come to.
     foothold: Spot,
