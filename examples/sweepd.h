@@ -67,6 +67,7 @@ extern "C" {
 #define SWEEPD_FROZEN 1024u /* ranges or reflectivities are the same, turn after turn */
 #define SWEEPD_FADED 2048u /* less than eye_least_percent of the returns of before are left, also of those from near ground */
 #define SWEEPD_DARK_BELOW 4096u /* beams or a sector that look down to near ground do not return */
+#define SWEEPD_HEIGHT_IN_DOUBT 8192u /* the mounting height was to be estimated, and is in doubt or unknown */
 #define SWEEPD_NOT_SEEING 0x1F00u /* all bits that say that the sensor does not see what it should */
 
 /* Properties of a segment, as bits of flags. */
@@ -181,7 +182,7 @@ typedef struct sweepd_header {
     uint32_t unfired_columns;
     uint32_t dropped_datagrams;
     float yaw_rad;
-    uint32_t reserved_252;
+    uint32_t height_doubt;
     float position_m[3];
     uint32_t reserved_268;
     int64_t completed_ns;

@@ -88,6 +88,9 @@ pub mod flags {
     pub const FADED: u32 = 1 << 11;
     /// Beams or a sector that look down to near ground do not return.
     pub const DARK_BELOW: u32 = 1 << 12;
+    /// The mounting height was to be estimated, and is in doubt or unknown:
+    /// [`Header::height_doubt`](super::Header::height_doubt) says why.
+    pub const HEIGHT_IN_DOUBT: u32 = 1 << 13;
     /// All bits that say that the sensor does not see what it should.
     pub const NOT_SEEING: u32 = 0x1F00;
 }
@@ -283,7 +286,9 @@ pub struct Header {
     /// above, radians. Its position is [`Header::position_m`], the other two angles are
     /// [`Header::pitch_rad`] and [`Header::roll_rad`].
     pub yaw_rad: f32,
-    _reserved: u32,
+    /// Why the estimated height is in doubt: a [`HeightDoubt`](crate::height::HeightDoubt) as a word;
+    /// 0 where it is not, or was configured.
+    pub height_doubt: u32,
     /// Position of the sensor in the frame of the robot as configured, metres: x right, y forward,
     /// z up.
     pub position_m: [f32; 3],

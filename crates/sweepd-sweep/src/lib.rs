@@ -4,7 +4,7 @@
 //! are published while the head still turns. [`image`] has the views over them, [`order`] the order of their shots, [`corrected`] the
 //! conversion of distances to ranges and back, [`pose`] brings points into other frames, [`obstacle`]
 //! says what stands in a robot's way, [`sensor`] has the models and return modes that a header names,
-//! [`eye`] the words for what a sensor no longer sees.
+//! [`eye`] the words for what a sensor no longer sees, [`height`] those for how sure its height is.
 //!
 //! It reads no file, clock or socket, and starts no thread.
 
@@ -13,6 +13,7 @@
 
 pub mod corrected;
 pub mod eye;
+pub mod height;
 pub mod image;
 pub mod layout;
 pub mod objects;

@@ -36,6 +36,7 @@ COVERED = 512
 FROZEN = 1024
 FADED = 2048
 DARK_BELOW = 4096
+HEIGHT_IN_DOUBT = 8192
 NOT_SEEING = 0x1F00
 
 # Properties of a segment, as bits of flags.
@@ -110,7 +111,7 @@ HEADER = np.dtype([
     ("arrival_ns", "<i8"), ("rpm", "<f4"), ("cut_azimuth_rad", "<f4"), ("height_m", "<f4"), ("pitch_rad", "<f4"),
     ("roll_rad", "<f4"), ("missing_columns", "<u4"), ("lost_packets", "<u4"), ("packets", "<u4"), ("returns", "<u4"),
     ("ground", "<u4"), ("decode_ns", "<u4"), ("ground_ns", "<u4"), ("label_ns", "<u4"), ("margin_columns", "<u4"),
-    ("unfired_columns", "<u4"), ("dropped_datagrams", "<u4"), ("yaw_rad", "<f4"), ("reserved_252", "V4"),
+    ("unfired_columns", "<u4"), ("dropped_datagrams", "<u4"), ("yaw_rad", "<f4"), ("height_doubt", "<u4"),
     ("position_m", "<f4", (3,)), ("reserved_268", "V4"), ("completed_ns", "<i8"), ("completed_monotonic_ns", "<i8"),
     ("run_ns", "<i8"), ("sensor", "S64"), ("name", "S64"), ("reserved_424", "V24"),
 ])  # fmt: skip

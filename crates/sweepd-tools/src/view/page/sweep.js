@@ -27,6 +27,7 @@ export const COVERED = 512;
 export const FROZEN = 1024;
 export const FADED = 2048;
 export const DARK_BELOW = 4096;
+export const HEIGHT_IN_DOUBT = 8192;
 export const NOT_SEEING = 0x1F00;
 
 // Properties of a segment, as bits of flags.
@@ -109,6 +110,7 @@ export const HEADER = {
     [240, "u32", "unfired_columns"],
     [244, "u32", "dropped_datagrams"],
     [248, "f32", "yaw_rad"],
+    [252, "u32", "height_doubt"],
     [256, "f32[3]", "position_m"],
     [272, "i64", "completed_ns"],
     [280, "i64", "completed_monotonic_ns"],
