@@ -132,6 +132,7 @@ mod tests {
             roll_spread_rad: 0.04_f32.to_radians(),
             sweeps: 14,
             looks: 15,
+            doubt: None,
         }
     }
 

@@ -155,7 +155,7 @@ impl Views {
             labels: Labels::Elsewhere,
             ..Options::default()
         };
-        let floor = FloorFinder::new(config.segment.mount);
+        let floor = FloorFinder::new(&config.segment);
         let pipeline = Pipeline::with_options("", config, options)
             .map_err(|error| CliError::Failed(error.to_string()))?;
         Ok(Self {

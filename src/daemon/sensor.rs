@@ -112,7 +112,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
             events,
         } = identity;
         let pipeline = pipeline(&address, &config, None)?;
-        let floor = FloorFinder::new(config.segment.mount);
+        let floor = FloorFinder::new(&config.segment);
         Ok(Self {
             index,
             name,
@@ -272,7 +272,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         // They are counted anew.
         self.counters.set_dark_beams(iter::empty());
         self.counters.forget_eye();
-        self.floor = FloorFinder::new(config.segment.mount);
+        self.floor = FloorFinder::new(&config.segment);
         self.told_floor = Sight::Unknown;
         self.config = config;
         self.finds_objects = false;
@@ -315,7 +315,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         let Ok(whole) = SweepMut::open(sweep.as_mut()) else {
             return self.counters.unshared.add(1);
         };
-        let shows_floor = self.floor.sample(&whole.as_ref());
+        self.floor.sample(&whole.as_ref());
         let header = whole.header;
         let dropped_datagrams = u32::try_from(dropped - self.dropped_before).unwrap_or(u32::MAX);
         let name = &self.name[..];
@@ -339,8 +339,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         self.publish_held();
         self.publish(sweep, completed_monotonic_ns);
         // Consumers do not wait for this.
-        if shows_floor {
-            self.floor.fit();
+        if self.floor.fit() {
             self.tell_floor();
         }
     }

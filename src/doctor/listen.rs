@@ -15,7 +15,7 @@ use sweepd_core::assemble::GpsTime;
 use sweepd_core::buffers::{HeapBuffers, Memory};
 use sweepd_core::floor::FloorFinder;
 use sweepd_core::pipeline::{Config, Event, Notice, Pipeline};
-use sweepd_core::segment::ConfigError;
+use sweepd_core::segment::{self, ConfigError};
 use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::{TimeSource, flags};
 use sweepd_core::wire::{Content, Packet};
@@ -196,7 +196,10 @@ impl DecodedSensor {
         config.segment.min_range_m = 0.0;
         config.segment.max_range_m = 0.01;
         Ok(Self {
-            floor: FloorFinder::new(expected.map(|one| one.mount).unwrap_or_default()),
+            floor: FloorFinder::new(&segment::Config {
+                mount: expected.map(|one| one.mount).unwrap_or_default(),
+                ..Default::default()
+            }),
             observed,
             pipeline: Pipeline::new("", config)?,
             memory: Memory::default(),

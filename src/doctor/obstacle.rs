@@ -18,7 +18,7 @@ use serde::Serialize;
 use place::{Beams, front_m, median, quantile};
 use sweepd_core::floor::FloorFinder;
 use sweepd_core::pipeline::Config;
-use sweepd_core::segment::Mount;
+use sweepd_core::segment::{self, Mount};
 use sweepd_core::sweep::layout::{
     LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, TimeSource, flags,
 };
@@ -243,7 +243,12 @@ impl Trial {
             self.gps_behind_ns = Some(self.gps_behind_ns.map_or(behind_ns, |ns| ns.min(behind_ns)));
         }
         let mount = self.mount_of(header);
-        let floor = self.floor.get_or_insert_with(|| FloorFinder::new(mount));
+        let floor = self.floor.get_or_insert_with(|| {
+            FloorFinder::new(&segment::Config {
+                mount,
+                ..Default::default()
+            })
+        });
         floor.look(sweep);
         let frame = place::frame(header, floor.sight(), &self.obstacle);
         self.frame = Some(frame);

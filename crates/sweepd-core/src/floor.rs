@@ -1,27 +1,55 @@
-//! The floor that a sensor sees, and so how it is mounted: its height, pitch and roll.
+//! The floor that a sensor sees, and so how it is mounted: its height, pitch and roll, and how sure
+//! these are.
 //!
 //! ```text
-//! sample    about a thousand returns of a sweep, evenly by row and column
-//! search    planes through three of them each; the one that holds the most, with the least below it
-//! refine    least squares over what lies near it, ever nearer
-//! median    over the last sweeps, and the spread between these
+//! grid       some columns and rows of a sweep, as points
+//! pairs      two returns of a column, one above the other, between which it is level
+//! surfaces   planes that pairs lie on, the best backed first
+//! verdict    the floor among them, and what speaks against it
 //! ```
 //!
+//! Only level pairs say where a floor is, so that no wall can; and nothing is seen below a floor. A
+//! height that is too small hides obstacles, one that is too great stops the robot: in doubt it is the
+//! greater. docs/rules.md, "The height", has each step.
+//!
+//! A [`FloorFinder`] does so for some sweeps of a run, and holds what they show against each other.
 //! Planes are drawn in the same order each time: the same sweeps give the same floor.
 
+mod grid;
+mod pairs;
 mod plane;
-mod samples;
+mod surfaces;
+mod verdict;
 
-use crate::segment::Mount;
+use fearless_simd::Level;
+use nalgebra::Vector3;
+
+use crate::segment::{Config, Mount, Stance};
 use crate::sweep::SweepRef;
+use crate::sweep::height::HeightDoubt;
 use crate::sweep::layout::flags;
-use plane::Plane;
-use samples::Samples;
+use grid::Grid;
+use surfaces::Search;
+use verdict::Verdict;
 
+/// Points in a vector.
+const LANES: usize = 16;
 /// Sweeps that a floor is the median of.
 pub const LOOKS: usize = 15;
-/// After these, one sweep in so many is looked at: at 600 turns a minute, one in 10 s.
-const EVERY: u64 = 100;
+/// The first whole turns are looked at, and then one in so many.
+const FIRST_LOOKS: u64 = 5;
+const EVERY: u64 = 10;
+/// So many of the last looks must be sure and agree.
+const NEWEST: usize = 5;
+const AGREEING: usize = 3;
+/// Floors agree that differ by no more: a share of the height or metres, and radians (1 degree).
+const AGREE: f64 = 0.02;
+const AGREE_M: f64 = 0.02;
+const AGREE_RAD: f64 = 0.017_453;
+/// A floor that differs by more from those of before is another one.
+const OTHER: f64 = 0.05;
+const OTHER_M: f64 = 0.03;
+const OTHER_RAD: f64 = 0.034_907;
 /// A mount that is further off the floor is wrong: the angle between the two, radians, and the share
 /// of the height.
 const TILT_OFF_RAD: f64 = 2.0 * std::f64::consts::PI / 180.0;
@@ -47,6 +75,8 @@ pub struct Floor {
     pub sweeps: usize,
     /// Sweeps that were looked at.
     pub looks: usize,
+    /// Why its height is in doubt; `None` where it is sure.
+    pub doubt: Option<HeightDoubt>,
 }
 
 /// What is known of the floor.
@@ -61,19 +91,42 @@ pub enum Sight {
     Floor(Floor),
 }
 
-/// Finds the floor in sweeps, one after another. After it was made it allocates nothing.
+/// Finds the floor in sweeps, one after another. After its first look it allocates nothing.
 #[derive(Clone, Debug)]
 pub struct FloorFinder {
-    mount: Mount,
-    samples: Samples,
-    /// Sweeps that came.
-    sweeps: u64,
-    /// What the last sweeps that were looked at show.
-    recent: [Option<Plane>; LOOKS],
-    looks: usize,
+    config: Config,
+    level: Level,
+    grid: Grid,
+    search: Search,
+    /// What was kept of a sweep that was not looked at yet: whether that is a whole turn.
+    pending: Option<bool>,
+    /// Whole turns that came.
+    turns: u64,
+    /// Whole turns that were looked at.
+    looks: u64,
+    /// What the last of them show, the oldest first.
+    recent: Vec<Option<Verdict>>,
+    sight: Sight,
 }
 
 impl Sight {
+    /// Height of the sensor's origin above the floor, metres; `None` where none is seen.
+    pub fn height_m(&self) -> Option<f32> {
+        match self {
+            Self::Floor(floor) => Some(floor.height_m),
+            Self::Unknown | Self::NoFloor => None,
+        }
+    }
+
+    /// Why the height is in doubt; `None` where it is sure, or nothing was looked at.
+    pub fn doubt(&self) -> Option<HeightDoubt> {
+        match self {
+            Self::Unknown => None,
+            Self::NoFloor => Some(HeightDoubt::NoFloor),
+            Self::Floor(floor) => floor.doubt,
+        }
+    }
+
     /// Whether people want to know of it who know of another: the first, a floor where there was
     /// none, or one that lies elsewhere.
     pub fn is_news_after(&self, known: &Self) -> bool {
@@ -114,91 +167,242 @@ impl Floor {
 
 impl FloorFinder {
     /// Looks for a floor below a sensor that is mounted about like this: the vertical may be off by
-    /// 45 degrees, the height by anything.
-    pub fn new(mount: Mount) -> Self {
+    /// 20 degrees, the height by anything. What is masked or out of range is not looked at.
+    pub fn new(config: &Config) -> Self {
+        Self::with_level(config, Level::new())
+    }
+
+    /// The same, with no more than these instructions of the machine.
+    pub fn with_level(config: &Config, level: Level) -> Self {
         Self {
-            mount,
-            samples: Samples::default(),
-            sweeps: 0,
-            recent: [None; LOOKS],
+            config: config.clone(),
+            level,
+            grid: Grid::default(),
+            search: Search::default(),
+            pending: None,
+            turns: 0,
             looks: 0,
+            recent: Vec::with_capacity(LOOKS + 1),
+            sight: Sight::Unknown,
         }
     }
 
     /// The mount that it was made for.
     pub fn mount(&self) -> &Mount {
-        &self.mount
+        &self.config.mount
     }
 
-    /// Takes a sweep, of which it looks at the first [`LOOKS`] and then at one in a hundred. Returns
-    /// whether it looked.
+    /// Takes a sweep, and looks at it if it is one to look at. Returns whether it did.
     pub fn look(&mut self, sweep: &SweepRef<'_>) -> bool {
-        let is_due = self.sample(sweep);
-        if is_due {
-            self.fit();
-        }
-        is_due
+        self.sample(sweep);
+        self.fit()
     }
 
-    /// The first half of [`FloorFinder::look`]: copies some returns of the sweep, if it is one to
-    /// look at. Returns whether it did; then call [`FloorFinder::fit`]. Parts of a turn do not count.
-    pub fn sample(&mut self, sweep: &SweepRef<'_>) -> bool {
-        if sweep.header.has(flags::STOPPED | flags::PARTIAL) {
+    /// The first half of [`FloorFinder::look`]: keeps some returns of the sweep, if it is one to look
+    /// at: of the whole turns the first ones, and then one in ten; until there is one, parts of turns.
+    pub fn sample(&mut self, sweep: &SweepRef<'_>) {
+        let is_turn = !sweep.header.has(flags::STOPPED | flags::PARTIAL);
+        let is_due = match is_turn {
+            true => self.turns < FIRST_LOOKS || self.turns.is_multiple_of(EVERY),
+            false => self.turns == 0,
+        };
+        self.turns += u64::from(is_turn);
+        if is_due && self.config.mount.stance() != Stance::OnSide {
+            self.grid.take(sweep, &self.config);
+            self.pending = Some(is_turn);
+        }
+    }
+
+    /// The other half: finds the floor in what was kept. Returns whether there was something.
+    pub fn fit(&mut self) -> bool {
+        let Some(is_turn) = self.pending.take() else {
             return false;
-        }
-        let is_due = self.sweeps < LOOKS as u64 || self.sweeps.is_multiple_of(EVERY);
-        self.sweeps += 1;
-        if is_due {
-            self.samples.take(sweep);
-        }
-        is_due
+        };
+        let up = self.config.mount.up().axis().map(f64::from).into();
+        let seen = one_look(self.level, &self.grid, &mut self.search, &up);
+        self.note(seen, is_turn);
+        true
     }
 
-    /// The other half: finds the floor in the returns that were copied.
-    pub fn fit(&mut self) {
-        let up = self.mount.up().axis().map(f64::from);
-        self.recent[self.looks % LOOKS] = self.samples.floor(up.into());
+    /// Takes what a look shows, of a whole turn or a part of one.
+    fn note(&mut self, seen: Option<Verdict>, is_turn: bool) {
+        if !is_turn {
+            self.sight = sight(&[seen]);
+            if let Sight::Floor(floor) = &mut self.sight {
+                (floor.sweeps, floor.looks) = (0, 0);
+                if let Some(HeightDoubt::FewSweeps { sweeps }) = &mut floor.doubt {
+                    *sweeps = 0;
+                }
+            }
+            return;
+        }
         self.looks += 1;
+        if self.recent.len() == LOOKS {
+            self.recent.remove(0);
+        }
+        self.recent.push(seen);
+        self.begin_anew();
+        self.sight = sight(&self.recent);
     }
 
-    /// Whether as many sweeps were looked at as a floor is the median of.
+    /// Whole turns that were looked at.
+    pub fn looks(&self) -> u64 {
+        self.looks
+    }
+
+    /// Whether the first looks are over, after which they become rare.
     pub fn is_settled(&self) -> bool {
-        self.looks >= LOOKS
+        self.looks >= FIRST_LOOKS
     }
 
     /// What the last sweeps show.
     pub fn sight(&self) -> Sight {
-        let recent = &self.recent[..self.looks.min(LOOKS)];
-        let seen = recent.iter().flatten().count();
-        let Some(first) = recent.iter().flatten().next() else {
-            return match self.looks {
-                0 => Sight::Unknown,
-                _ => Sight::NoFloor,
-            };
-        };
-        if 2 * seen <= recent.len() {
-            return Sight::NoFloor;
-        }
-        // Of a sensor head down, rolls lie on both sides of half a turn.
-        let first_roll_rad = first.roll_rad();
-        let mut values = [[0.0; LOOKS]; 3];
-        for (index, plane) in recent.iter().flatten().enumerate() {
-            values[0][index] = plane.height_m;
-            values[1][index] = plane.pitch_rad();
-            values[2][index] = wrapped(plane.roll_rad() - first_roll_rad);
-        }
-        let [height, pitch, roll] = values.map(|mut values| spread(&mut values[..seen]));
-        Sight::Floor(Floor {
-            height_m: height.0 as f32,
-            pitch_rad: pitch.0 as f32,
-            roll_rad: wrapped(roll.0 + first_roll_rad) as f32,
-            height_spread_m: height.1 as f32,
-            pitch_spread_rad: pitch.1 as f32,
-            roll_spread_rad: roll.1 as f32,
-            sweeps: seen,
-            looks: recent.len(),
-        })
+        self.sight
     }
+
+    /// Forgets what was before the last looks if these agree with each other on another floor: the
+    /// sensor was lifted, or sits on another robot. A floor that is less deep must be sure.
+    fn begin_anew(&mut self) {
+        let Some(first) = self
+            .recent
+            .len()
+            .checked_sub(AGREEING)
+            .filter(|first| *first > 0)
+        else {
+            return;
+        };
+        let (before, last) = self.recent.split_at(first);
+        let Some(before) = middle(before, true).or_else(|| middle(before, false)) else {
+            return;
+        };
+        let Some(now) = middle(last, false) else {
+            return;
+        };
+        let is_allowed = |one: &Verdict| {
+            agree(one, &now) && (one.doubt.is_none() || one.plane.height_m > before.plane.height_m)
+        };
+        let is_agreed = last.iter().flatten().filter(|one| is_allowed(one)).count() == AGREEING;
+        if is_agreed && differ(&before, &now, [OTHER, OTHER_M, OTHER_RAD]) {
+            self.recent.drain(..first);
+        }
+    }
+}
+
+/// The floor by one sweep, for a mount with this vertical.
+fn one_look(level: Level, grid: &Grid, search: &mut Search, up: &Vector3<f64>) -> Option<Verdict> {
+    let found = search.find(level, grid, up);
+    let seen = (0..grid.columns()).filter(|&column| grid.lowest(column).is_some());
+    verdict::decide(&found, seen.count(), up)
+}
+
+/// The floor by some looks, the oldest first.
+fn sight(recent: &[Option<Verdict>]) -> Sight {
+    let newest = &recent[recent.len().saturating_sub(NEWEST)..];
+    let doubt = doubt(newest);
+    let sure = middle(recent, true);
+    let mut floor = sure;
+    if doubt.is_some() {
+        for one in newest.iter().flatten() {
+            if floor.is_none_or(|floor| one.plane.height_m > floor.plane.height_m) {
+                floor = Some(*one);
+            }
+        }
+    }
+    let Some(floor) = floor else {
+        return match recent.is_empty() {
+            true => Sight::Unknown,
+            false => Sight::NoFloor,
+        };
+    };
+    let is_median = sure == Some(floor);
+    let used = || {
+        recent
+            .iter()
+            .flatten()
+            .filter(|one| !is_median || one.doubt.is_none())
+    };
+    let base_rad = floor.plane.roll_rad();
+    let mut values = [[0.0; LOOKS]; 3];
+    let mut count = 0;
+    for (index, one) in used().enumerate() {
+        values[0][index] = one.plane.height_m;
+        values[1][index] = one.plane.pitch_rad();
+        // Of a sensor head down, rolls lie on both sides of half a turn.
+        values[2][index] = wrapped(one.plane.roll_rad() - base_rad);
+        count += 1;
+    }
+    let [height, pitch, roll] = values.map(|mut values| spread(&mut values[..count]));
+    let middle = match is_median {
+        true => [height.0, pitch.0, wrapped(roll.0 + base_rad)],
+        false => [floor.plane.height_m, floor.plane.pitch_rad(), base_rad],
+    };
+    Sight::Floor(Floor {
+        // To the millimetre.
+        height_m: ((1e3 * middle[0]).round() / 1e3) as f32,
+        pitch_rad: middle[1] as f32,
+        roll_rad: middle[2] as f32,
+        height_spread_m: height.1 as f32,
+        pitch_spread_rad: pitch.1 as f32,
+        roll_spread_rad: roll.1 as f32,
+        sweeps: recent.iter().flatten().count(),
+        looks: recent.len(),
+        doubt,
+    })
+}
+
+/// Why the last looks are not sure; `None` where enough of them are, and agree.
+fn doubt(newest: &[Option<Verdict>]) -> Option<HeightDoubt> {
+    let sure = || newest.iter().flatten().filter(|one| one.doubt.is_none());
+    let agreed =
+        middle(newest, true).map_or(0, |middle| sure().filter(|one| agree(one, &middle)).count());
+    if agreed >= AGREEING {
+        return None;
+    }
+    let is_sure = |look: &&Option<Verdict>| look.is_some_and(|one| one.doubt.is_none());
+    match newest.iter().rev().find(|look| !is_sure(look)) {
+        Some(Some(doubtful)) => return doubtful.doubt,
+        Some(None) => return Some(HeightDoubt::Lost),
+        None => {}
+    }
+    let heights_m = || sure().map(|one| 100.0 * one.plane.height_m);
+    Some(match newest.len() < AGREEING {
+        true => HeightDoubt::FewSweeps {
+            sweeps: newest.len() as u8,
+        },
+        false => HeightDoubt::Unsteady {
+            least_cm: heights_m().fold(f64::INFINITY, f64::min).round() as u16,
+            most_cm: heights_m().fold(0.0, f64::max).round() as u16,
+        },
+    })
+}
+
+/// The look in the middle by height, of all that show a floor or of the sure ones.
+fn middle(looks: &[Option<Verdict>], of_sure: bool) -> Option<Verdict> {
+    let seen = looks
+        .iter()
+        .flatten()
+        .filter(|one| !of_sure || one.doubt.is_none());
+    let mut by_height: [Option<Verdict>; LOOKS] = [None; LOOKS];
+    let mut count = 0;
+    for (place, one) in by_height.iter_mut().zip(seen) {
+        *place = Some(*one);
+        count += 1;
+    }
+    let height_m = |one: &Option<Verdict>| one.map_or(0.0, |one| one.plane.height_m);
+    by_height[..count].sort_unstable_by(|a, b| height_m(a).total_cmp(&height_m(b)));
+    *by_height[..count].get(count / 2)?
+}
+
+fn agree(one: &Verdict, other: &Verdict) -> bool {
+    !differ(one, other, [AGREE, AGREE_M, AGREE_RAD])
+}
+
+/// Whether the second floor lies elsewhere than the first, by more than a share of its height and
+/// some metres, or by more than an angle, radians.
+fn differ(one: &Verdict, other: &Verdict, [share, least_m, most_rad]: [f64; 3]) -> bool {
+    let (one, other) = (one.plane, other.plane);
+    let apart_m = (one.height_m - other.height_m).abs();
+    apart_m > (share * one.height_m).max(least_m) || one.off_rad(&other.up) > most_rad
 }
 
 /// The median, and the standard deviation by the median deviation from it.
@@ -242,6 +446,7 @@ mod tests {
             roll_spread_rad: 0.0,
             sweeps: 1,
             looks: 1,
+            doubt: None,
         }
     }
 
@@ -265,6 +470,100 @@ mod tests {
         }
         // Half a turn to either side is the same.
         assert!(!floor(1.0, 0.0, 179.5).differs_from(&floor(1.0, 0.0, -179.5).mount()));
+    }
+
+    /// A look that shows a level floor this far below.
+    fn seen(height_m: f64, doubt: Option<HeightDoubt>) -> Option<Verdict> {
+        let plane = plane::Plane {
+            up: Vector3::z(),
+            height_m,
+        };
+        Some(Verdict { plane, doubt })
+    }
+
+    fn sure(height_m: f64) -> Option<Verdict> {
+        seen(height_m, None)
+    }
+
+    /// Height and doubt after these looks.
+    fn after(looks: &[Option<Verdict>]) -> (Option<f32>, Option<HeightDoubt>) {
+        let mut finder = FloorFinder::new(&Config::default());
+        for look in looks {
+            finder.note(*look, true);
+        }
+        (finder.sight().height_m(), finder.sight().doubt())
+    }
+
+    const FEW: HeightDoubt = HeightDoubt::Small { far_dm: 7 };
+
+    #[test]
+    fn three_of_the_last_five_looks_that_agree_are_sure() {
+        let one = HeightDoubt::FewSweeps { sweeps: 1 };
+        assert_eq!(after(&[sure(1.2)]), (Some(1.2), Some(one)));
+        assert_eq!(after(&[sure(1.2); 3]), (Some(1.2), None));
+        assert_eq!(
+            after(&[
+                sure(1.19),
+                None,
+                sure(1.2),
+                seen(1.9, Some(FEW)),
+                sure(1.21)
+            ]),
+            (Some(1.2), None)
+        );
+        // Two are too few, and the greatest counts.
+        assert_eq!(
+            after(&[sure(1.2), None, seen(1.9, Some(FEW)), None, sure(1.21)]),
+            (Some(1.9), Some(HeightDoubt::Lost))
+        );
+        let apart = HeightDoubt::Unsteady {
+            least_cm: 100,
+            most_cm: 120,
+        };
+        assert_eq!(
+            after(&[sure(1.0), sure(1.1), sure(1.2)]),
+            (Some(1.2), Some(apart))
+        );
+    }
+
+    #[test]
+    fn without_a_floor_there_is_no_height_and_what_was_sure_is_kept_for_a_while() {
+        assert_eq!(after(&[]), (None, None));
+        assert_eq!(after(&[None]), (None, Some(HeightDoubt::NoFloor)));
+        let mut looks = vec![sure(0.8); 5];
+        looks.extend([None; 10]);
+        assert_eq!(after(&looks), (Some(0.8), Some(HeightDoubt::Lost)));
+        looks.extend([None; 5]);
+        assert_eq!(after(&looks), (None, Some(HeightDoubt::NoFloor)));
+        // One that was in doubt is not.
+        let mut looks = vec![seen(0.8, Some(FEW))];
+        looks.extend([None; 5]);
+        assert_eq!(after(&looks), (None, Some(HeightDoubt::NoFloor)));
+    }
+
+    #[test]
+    fn a_sensor_that_was_lifted_begins_anew() {
+        let looks = |then: &[Option<Verdict>]| after(&[&[sure(1.0); 12], then].concat());
+        assert_eq!(looks(&[sure(1.3); 2]), (Some(1.0), None));
+        assert_eq!(looks(&[sure(1.3); 3]), (Some(1.3), None));
+        assert_eq!(looks(&[sure(0.7); 3]), (Some(0.7), None));
+        // Within 5 %, it is the same.
+        assert_eq!(looks(&[sure(1.04); 3]).0, Some(1.0));
+        // In doubt, only the greater.
+        let doubted = |height_m| seen(height_m, Some(FEW));
+        assert_eq!(looks(&[doubted(0.7); 3]), (Some(1.0), Some(FEW)));
+        assert_eq!(looks(&[doubted(1.3); 3]), (Some(1.3), Some(FEW)));
+    }
+
+    #[test]
+    fn a_part_of_a_turn_is_a_guess_until_there_is_a_whole_one() {
+        let mut finder = FloorFinder::new(&Config::default());
+        finder.note(sure(1.5), false);
+        let none = HeightDoubt::FewSweeps { sweeps: 0 };
+        assert_eq!(finder.sight().doubt(), Some(none));
+        assert_eq!((finder.looks(), finder.sight().height_m()), (0, Some(1.5)));
+        finder.note(sure(1.2), true);
+        assert_eq!((finder.looks(), finder.sight().height_m()), (1, Some(1.2)));
     }
 
     /// By hand: the median of 1, 2, 4, 8, 100 is 4, the deviations from it are 0, 2, 3, 4, 96.

@@ -36,6 +36,7 @@ use crate::assemble::clock::Clocks;
 use crate::assemble::gps::{GpsTime, Heard};
 use crate::buffers::OpenBuffer;
 use crate::buffers::{Buffers, Memory};
+use crate::floor::Sight;
 use crate::segment::{ConfigError, STRIP_COLUMNS, Segmenter};
 use crate::sensor::detect::Detection;
 use crate::sensor::unit::Unit;
@@ -160,6 +161,10 @@ pub struct Status<'a> {
     pub gps: Option<&'a GpsTime>,
     /// How near the newest whole turn came to what is told of the eye; `None` before the first.
     pub eye: Option<EyeMeasures>,
+    /// The floor that the sweeps show, whether the mount is configured or not.
+    pub floor: Sight,
+    /// Sweeps that were looked at for it.
+    pub floor_looks: u64,
 }
 
 impl Pipeline {
@@ -274,6 +279,8 @@ impl Pipeline {
         if let Some(notice) = self.report.notices.pop_front() {
             return Some(Event::Notice(notice));
         }
+        // Whoever waited for the newest sweep has it.
+        self.segmenter.find_floor();
         // The last objects of a sweep come before another sweep is begun.
         if !self.objects_of.is_complete {
             if self.assemble(memory) {
@@ -319,7 +326,7 @@ impl Pipeline {
             self.report.counts = self.counts();
             self.state = State::detecting(self.setup.config.model, None, handover);
             // The next sensor may sit elsewhere.
-            self.segmenter.forget_height();
+            self.segmenter.forget_floor();
             self.eye.forget();
         }
     }
@@ -395,6 +402,7 @@ impl Pipeline {
     /// What is known of the sensor.
     pub fn status(&self) -> Status<'_> {
         let decoding = self.state.decoding();
+        let (floor, floor_looks) = self.segmenter.floor();
         let limits_cdeg = decoding.and_then(|decoding| decoding.builder.field_of_view_cdeg());
         Status {
             detection: self.state.detection(),
@@ -406,6 +414,8 @@ impl Pipeline {
             dark_beams: &self.eye.dark_beams,
             gps: self.state.clocks().map(Clocks::gps),
             eye: self.eye.measures(),
+            floor,
+            floor_looks,
         }
     }
 

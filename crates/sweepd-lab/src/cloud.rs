@@ -186,7 +186,7 @@ impl CloudSegmenter {
             sweep.header.returns -= remover.remove(&mut sweep, firings);
         }
         // Each cloud by itself: the one before may be of another sensor.
-        self.segmenter.forget_height();
+        self.segmenter.forget_floor();
         self.segmenter.segment(&mut sweep);
         self.projector.labels()
     }

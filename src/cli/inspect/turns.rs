@@ -7,7 +7,7 @@ use crate::{beams, floor};
 use sweepd_core::buffers::{HeapBuffers, Memory};
 use sweepd_core::floor::{FloorFinder, Sight};
 use sweepd_core::pipeline::{Config, DarkBeam, Labels, Options, Pipeline};
-use sweepd_core::segment::{ConfigError, Mount};
+use sweepd_core::segment::{self, ConfigError, Mount};
 use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::eye::eye_faults;
 use sweepd_core::wire::Packet;
@@ -36,7 +36,10 @@ impl Turns {
         Ok(Self {
             pipeline: Pipeline::with_options("", Config::default(), options)?,
             memory: Memory::default(),
-            floor: FloorFinder::new(said.unwrap_or_default()),
+            floor: FloorFinder::new(&segment::Config {
+                mount: said.unwrap_or_default(),
+                ..Default::default()
+            }),
             flags: 0,
             said,
         })

@@ -282,6 +282,7 @@ fn a_floor_is_told_with_the_mount_that_it_gives() {
         roll_spread_rad: 0.0,
         sweeps: 15,
         looks: 15,
+        doubt: None,
     };
     let line = "mount = { height_m = 0.400, pitch_deg = -10.0, roll_deg = 0.0 }  # spread 0.001 m";
     for (set, is_warning) in [(floor.mount(), false), (Mount::default(), true)] {

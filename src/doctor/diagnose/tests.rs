@@ -205,6 +205,7 @@ fn a_mount_that_is_not_the_floors_is_a_warning_with_the_lines_to_set() {
         roll_spread_rad: 0.0,
         sweeps: 15,
         looks: 15,
+        doubt: None,
     };
     let lines = "[sensor.mount]\nheight_m = 0.400\npitch_deg = -10.0\nroll_deg = 0.0\n";
     let off = ["the mount is set to pitch_deg = 0, roll_deg = 0", lines];

@@ -1,4 +1,4 @@
-//! A plane below the sensor.
+//! A plane below the sensor, and how near to it is near.
 
 use nalgebra::Vector3;
 
@@ -11,11 +11,32 @@ pub(super) struct Plane {
     pub height_m: f64,
 }
 
+/// Half width of what lies on a plane: some centimetres, and more further away, but no great part of
+/// the height, metres.
+#[derive(Clone, Copy)]
+pub(super) struct Band {
+    near_m: f64,
+    most_m: f64,
+}
+
+/// How a band widens with the range.
+pub(super) const RISE: f64 = 0.01;
+
+impl Band {
+    pub fn m(self, range_m: f64) -> f64 {
+        (self.near_m + RISE * range_m).min(self.most_m)
+    }
+
+    /// Its least and its greatest half width, metres.
+    pub fn bounds_m(self) -> [f64; 2] {
+        [self.near_m, self.most_m]
+    }
+}
+
 impl Plane {
-    /// Through three points, on the side that looks `up`; `None` where they lie in a line.
-    pub fn through(points: [Vector3<f64>; 3], up: &Vector3<f64>) -> Option<Self> {
-        let [a, b, c] = points;
-        let normal = (b - a).cross(&(c - a)).try_normalize(1e-6)?;
+    /// Through three points, on the side that looks `up`; `None` where they lie near a line.
+    pub fn through([a, b, c]: [Vector3<f64>; 3], up: &Vector3<f64>) -> Option<Self> {
+        let normal = (b - a).cross(&(c - a)).try_normalize(LEAST_AREA_M2)?;
         let normal = normal * normal.dot(up).signum();
         Some(Self {
             up: normal,
@@ -23,9 +44,27 @@ impl Plane {
         })
     }
 
+    pub fn band(&self) -> Band {
+        Band {
+            near_m: (0.05 * self.height_m).clamp(0.03, 0.06),
+            most_m: 0.25 * self.height_m,
+        }
+    }
+
+    /// Beyond this, beams meet a floor at so flat an angle that it is no more told from walls,
+    /// metres.
+    pub fn reach_m(&self) -> f64 {
+        15.0 * self.height_m + 1.0
+    }
+
     /// Height of a point over it, metres.
     pub fn over_m(&self, point_m: &Vector3<f64>) -> f64 {
         self.up.dot(point_m) + self.height_m
+    }
+
+    /// Distance of a point from the sensor along it, metres.
+    pub fn away_m(&self, point_m: &Vector3<f64>) -> f64 {
+        (point_m - self.up * self.up.dot(point_m)).norm()
     }
 
     /// Two directions in it, across each other.
@@ -50,6 +89,11 @@ impl Plane {
         }
     }
 
+    /// The angle between its vertical and another one, radians.
+    pub fn off_rad(&self, up: &Vector3<f64>) -> f64 {
+        self.up.dot(up).clamp(-1.0, 1.0).acos()
+    }
+
     /// The pitch of a sensor over it, radians: see [`Mount::up`](crate::segment::Mount::up).
     pub fn pitch_rad(&self) -> f64 {
         self.up.y.clamp(-1.0, 1.0).asin()
@@ -60,6 +104,9 @@ impl Plane {
         (-self.up.x).atan2(self.up.z)
     }
 }
+
+/// Three points with less between them, as the area of the parallelogram, lie near a line.
+const LEAST_AREA_M2: f64 = 0.05;
 
 #[cfg(test)]
 mod tests {

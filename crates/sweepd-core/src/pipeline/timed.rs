@@ -1,5 +1,6 @@
 //! The segmenter, and how long it takes for a sweep.
 
+use crate::floor::Sight;
 use crate::segment::Segmenter;
 use crate::segment::objects::Objects;
 use crate::sweep::SweepMut;
@@ -57,8 +58,18 @@ impl TimedSegmenter {
     }
 
     /// The next sensor may sit elsewhere.
-    pub(super) fn forget_height(&mut self) {
-        self.segmenter.forget_height();
+    pub(super) fn forget_floor(&mut self) {
+        self.segmenter.forget_floor();
+    }
+
+    /// The floor that the sweeps show, and how many were looked at for it.
+    pub(super) fn floor(&self) -> (Sight, u64) {
+        self.segmenter.floor()
+    }
+
+    /// Looks for the floor in the newest sweep, if it is one to look at.
+    pub(super) fn find_floor(&mut self) {
+        self.segmenter.find_floor();
     }
 
     /// Writes the height of the sensor into a whole sweep that another segmenter labels. The time

@@ -178,7 +178,7 @@ impl Config {
 
     /// Whether a range may be labelled.
     #[inline(always)]
-    pub(super) fn holds(&self, range_m: f32) -> bool {
+    pub(crate) fn holds(&self, range_m: f32) -> bool {
         is_return(range_m) && range_m >= self.min_range_m && range_m <= self.max_range_m
     }
 }

@@ -6,7 +6,7 @@
 //! same steps (`emit` only for the default method, and where objects are to be found):
 //!
 //! ```text
-//! begin         what the sweep says of its beams, and how high the sensor is      mask, mount
+//! begin         what the sweep says of its beams, and how high the sensor is      mask, mount, ../floor
 //! find_ground   the ground of the next strip of columns                           ranges, points, climb
 //! join          what is no ground there: runs of neighbours, then windows         vote, runs, windows, near, components
 //! emit          objects that are complete                                       objects, seam
@@ -54,16 +54,20 @@ mod windows;
 pub use config::{Config, ConfigError, Method};
 pub use joining::Joining;
 pub use mask::{Mask, MaskError};
-pub use mount::{HeightEstimator, Mount, Stance};
+pub use mount::{Mount, Stance};
+pub(crate) use order::reserve;
 pub use order::{MAX_ROWS, STRIP as STRIP_COLUMNS};
 pub use paper::PaperSegmenter;
 pub use paper::angles::Angles;
 pub use paper::ground::{PaperGround, Window};
 pub use points::placed;
 pub use settings::{SETTINGS, Setting};
+pub(crate) use turn::turn_rad;
 pub use turnover::turn_over;
 
+use crate::floor::{FloorFinder, Sight};
 use crate::sweep::SweepMut;
+use crate::sweep::height::HeightDoubt;
 use crate::sweep::layout::flags;
 use fearless_simd::Level;
 use objects::Objects;
@@ -81,8 +85,10 @@ pub struct Segmenter {
     level: Level,
     /// Whether the height of the sensor is to be estimated.
     estimates_height: bool,
-    /// Estimates it. `None`: headers say it.
-    height: Option<HeightEstimator>,
+    /// Looks for the floor, also where the height is configured. `None`: headers say the height.
+    floor: Option<Box<FloorFinder>>,
+    /// Whether the floor was looked for in the sweep that was begun.
+    has_looked: bool,
     strips: Strips,
     /// What lies around the cut, if objects are to be found.
     seam: Option<Box<Seam>>,
@@ -111,9 +117,10 @@ impl Segmenter {
         config.check()?;
         Ok(Self {
             estimates_height: config.estimates_height(),
+            floor: Some(Box::new(FloorFinder::with_level(&config, level))),
+            has_looked: false,
             config,
             level,
-            height: Some(HeightEstimator::default()),
             strips: Strips::new(level),
             seam: None,
             paper: PaperSegmenter::default(),
@@ -127,7 +134,7 @@ impl Segmenter {
     /// Nothing passes from sweep to sweep then, so several such segmenters can share the work.
     #[must_use]
     pub fn with_heights_in_headers(mut self) -> Self {
-        self.height = None;
+        self.floor = None;
         self
     }
 
@@ -166,7 +173,8 @@ impl Segmenter {
         let configured_m = self.config.mount.height_m;
         match self.config.method {
             Method::Paper => {
-                write_height(sweep, configured_m, false);
+                write_height(sweep, configured_m, None);
+                self.has_looked = false;
                 self.paper.begin(sweep, &self.config);
             }
             Method::Slope => {
@@ -176,21 +184,11 @@ impl Segmenter {
                 {
                     self.strips.go_on(sweep, None);
                 } else {
-                    let height_m = match &mut self.height {
-                        _ if !self.estimates_height => configured_m,
-                        None => Some(sweep.header.height_m).filter(|height_m| *height_m > 0.0),
-                        Some(height) => {
-                            height.reserve(sweep.columns.len());
-                            if height.height_m().is_none() {
-                                height.observe(self.strips.sound(sweep, &self.config));
-                            }
-                            height.height_m()
-                        }
-                    };
+                    let height_m = self.sound(sweep);
                     self.strips.begin(sweep, &self.config, height_m, None);
                 }
                 let height_m = configured_m.or(self.strips.height_m());
-                write_height(sweep, height_m, self.estimates_height);
+                self.write_estimate(sweep, height_m);
             }
         }
     }
@@ -203,16 +201,17 @@ impl Segmenter {
     /// Sweeps are told apart by their sequence numbers. Call [`Segmenter::spoil`] if columns that
     /// were final have changed.
     pub fn begin_early(&mut self, sweep: &mut SweepMut<'_>, ready: usize) -> bool {
-        let estimated_m = self.height.as_ref().and_then(HeightEstimator::height_m);
-        let height_m = self.config.mount.height_m.or(estimated_m);
         let sequence = sweep.header.sequence;
+        self.find_floor();
         if self.config.method == Method::Paper
-            || self.estimates_height && estimated_m.is_none()
             || ready == 0
             || self.spoilt == Some(sequence)
+            || self.estimates_height && self.floor().1 == 0
         {
             return false;
         }
+        self.has_looked = false;
+        let height_m = self.height_m_of_next();
         match self.open.replace(sequence) == Some(sequence) {
             true => self.strips.go_on(sweep, Some(ready)),
             false => self
@@ -242,11 +241,10 @@ impl Segmenter {
         }
     }
 
-    /// Forgets how high the sensor is, where it is not configured: what comes next is from another
-    /// one.
-    pub fn forget_height(&mut self) {
-        if let Some(height) = &mut self.height {
-            *height = HeightEstimator::default();
+    /// Forgets the floor: what comes next is from another sensor.
+    pub fn forget_floor(&mut self) {
+        if let Some(floor) = &mut self.floor {
+            **floor = FloorFinder::with_level(&self.config, self.level);
         }
     }
 
@@ -258,18 +256,69 @@ impl Segmenter {
     /// If the sweep has more than [`MAX_ROWS`] rows.
     pub fn find_height(&mut self, sweep: &mut SweepMut<'_>) {
         check_rows(sweep);
-        let configured_m = self.config.mount.height_m;
-        match &mut self.height {
-            Some(height) if self.estimates_height => {
-                height.reserve(sweep.columns.len());
-                let depths_m = self.strips.sound(sweep, &self.config);
-                if height.height_m().is_none() {
-                    height.observe(depths_m);
-                }
-                write_height(sweep, height.height_m(), true);
-                height.observe(depths_m);
+        let height_m = match self.config.method {
+            Method::Paper => self.config.mount.height_m,
+            Method::Slope => self.sound(sweep),
+        };
+        self.write_estimate(sweep, height_m);
+        self.look(sweep);
+        self.find_floor();
+    }
+
+    /// The floor that the sweeps show, and how many were looked at for it. What was kept of the
+    /// newest counts after [`Segmenter::find_floor`].
+    pub fn floor(&self) -> (Sight, u64) {
+        let floor = self.floor.as_ref();
+        floor.map_or_else(Default::default, |floor| (floor.sight(), floor.looks()))
+    }
+
+    /// Finds the floor in what was kept of the newest sweep, if that was one to look at. The next
+    /// sweep does it else: to do it before saves time there.
+    pub fn find_floor(&mut self) {
+        if let Some(floor) = &mut self.floor {
+            floor.fit();
+        }
+    }
+
+    /// The height of the sensor for a whole sweep; the first ones are looked at for it.
+    fn sound(&mut self, sweep: &SweepMut<'_>) -> Option<f32> {
+        self.find_floor();
+        self.has_looked = false;
+        match &mut self.floor {
+            _ if !self.estimates_height => return self.config.mount.height_m,
+            None => return Some(sweep.header.height_m).filter(|height_m| *height_m > 0.0),
+            Some(floor) if floor.looks() == 0 => {
+                floor.look(&sweep.as_ref());
+                self.has_looked = true;
             }
-            _ => write_height(sweep, configured_m, false),
+            Some(_) => {}
+        }
+        self.height_m_of_next()
+    }
+
+    /// The height of the sensor by the sweeps before, or as configured.
+    fn height_m_of_next(&self) -> Option<f32> {
+        let seen = self.floor.as_ref().map(|floor| floor.sight());
+        let seen_m = seen.and_then(|sight| sight.height_m());
+        self.config.mount.height_m.or(seen_m)
+    }
+
+    /// Keeps some returns of a whole sweep to look for the floor, if it is one to look at.
+    fn look(&mut self, sweep: &SweepMut<'_>) {
+        if let Some(floor) = &mut self.floor
+            && !self.has_looked
+        {
+            floor.sample(&sweep.as_ref());
+        }
+    }
+
+    /// Writes the height that labels take, and if it is estimated, what is in doubt about it.
+    fn write_estimate(&self, sweep: &mut SweepMut<'_>, height_m: Option<f32>) {
+        match &self.floor {
+            _ if !self.estimates_height => write_height(sweep, height_m, None),
+            Some(floor) => write_height(sweep, height_m, Some(floor.sight().doubt())),
+            // The header has it.
+            None => {}
         }
     }
 
@@ -328,13 +377,9 @@ impl Segmenter {
             Method::Paper => self.paper.label(sweep, &self.config, self.level),
             Method::Slope => {
                 self.strips.label(sweep, &self.config);
-                if let Some(height) = &mut self.height
-                    && self.estimates_height
-                {
-                    height.observe(self.strips.depths_m());
-                }
             }
         }
+        self.look(sweep);
         label_other_returns(sweep, &self.config);
         wide::mark(sweep, &self.config);
         let has_height = !self.estimates_height || sweep.header.height_m > 0.0;
@@ -354,11 +399,23 @@ fn check_rows(sweep: &SweepMut<'_>) {
     );
 }
 
-fn write_height(sweep: &mut SweepMut<'_>, height_m: Option<f32>, estimated: bool) {
-    sweep.header.height_m = height_m.unwrap_or(0.0);
-    sweep.header.flags &= !flags::HEIGHT_ESTIMATED;
-    if estimated && height_m.is_some() {
-        sweep.header.flags |= flags::HEIGHT_ESTIMATED;
+/// `estimate` is of a height that is to be estimated, and says what is in doubt about it.
+fn write_height(
+    sweep: &mut SweepMut<'_>,
+    height_m: Option<f32>,
+    estimate: Option<Option<HeightDoubt>>,
+) {
+    let header = &mut *sweep.header;
+    header.height_m = height_m.unwrap_or(0.0);
+    header.height_doubt = estimate.flatten().map_or(0, HeightDoubt::word);
+    for (flag, is_set) in [
+        (
+            flags::HEIGHT_ESTIMATED,
+            estimate.is_some() && height_m.is_some(),
+        ),
+        (flags::HEIGHT_IN_DOUBT, header.height_doubt != 0),
+    ] {
+        header.flags = header.flags & !flag | if is_set { flag } else { 0 };
     }
 }
 

@@ -224,7 +224,7 @@ pub(super) fn load<S: Simd>(simd: S, plane: &[f32], at: usize) -> f32x16<S> {
 }
 
 /// Empties a vector and takes room for this many elements.
-pub(super) fn reserve<T>(vec: &mut Vec<T>, count: usize) {
+pub(crate) fn reserve<T>(vec: &mut Vec<T>, count: usize) {
     vec.clear();
     vec.reserve(count);
 }

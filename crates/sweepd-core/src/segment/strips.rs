@@ -11,7 +11,7 @@
 //! For a whole turn the first columns are taken once more behind the last: what they hold for the
 //! second time is united with what it was the first time, and not counted again.
 
-use fearless_simd::{Level, Simd, dispatch, f32x16, mask32x16, prelude::*};
+use fearless_simd::{Level, Simd, dispatch};
 
 use super::area::Areas;
 use super::climb::{Climb, Kerb};
@@ -22,7 +22,7 @@ use super::labels::{Found, Labels};
 use super::mount::Stance;
 use super::near::Limits;
 use super::objects::{Objects, Strip};
-use super::order::{AHEAD, BEFORE, LANES, Order, STRIP, lane_of, reserve};
+use super::order::{AHEAD, BEFORE, Order, STRIP, lane_of};
 use super::points::Beams;
 use super::ranges::Ranges;
 use super::runs::{Bits, Runs};
@@ -49,9 +49,6 @@ pub(super) struct Strips {
     ranges: Ranges,
     /// Columns of the strip at hand that are no neighbours of those before.
     jumps: u64,
-    /// How deep below the sensor the lowest return of each column lies, position by position,
-    /// metres; infinite where there is none.
-    depths_m: Vec<f32>,
     runs: Runs,
     windows: Windows,
     components: Components,
@@ -75,7 +72,6 @@ impl Strips {
             pitch_rad: 0.0,
             ranges: Ranges::default(),
             jumps: 0,
-            depths_m: Vec::new(),
             runs: Runs::default(),
             windows: Windows::default(),
             components: Components::default(),
@@ -103,7 +99,6 @@ impl Strips {
         self.climb.kerb = Kerb::new(config.climb_m);
         self.at = 0;
         self.ready = ready;
-        reserve(&mut self.depths_m, columns.next_multiple_of(STRIP));
         self.first.resize(rows, [0; BEFORE]);
         self.beams.reserve(columns);
         self.runs.begin(rows, pixels);
@@ -130,23 +125,6 @@ impl Strips {
     /// ground is found.
     pub fn height_m(&self) -> Option<f32> {
         self.climb.height_m
-    }
-
-    /// How deep below the sensor the lowest return of each column lies, metres; infinite where
-    /// there is none. Of a sweep that was segmented.
-    pub fn depths_m(&self) -> &[f32] {
-        &self.depths_m
-    }
-
-    /// The same of a sweep that is not, of which all columns are there.
-    pub fn sound(&mut self, sweep: &SweepMut<'_>, config: &Config) -> &[f32] {
-        self.begin(sweep, config, None, None);
-        let sweep = sweep.as_ref();
-        while self.has_next() {
-            dispatch!(self.level, simd => self.read(simd, &sweep, config));
-            self.at += 1;
-        }
-        self.depths_m()
     }
 
     /// Finds the ground of the next strip. False when there is none, or none yet.
@@ -242,45 +220,12 @@ impl Strips {
             self.beams.look_up(simd, sweep, position);
         }
         self.ranges.fill(simd, sweep, config, order, position);
-        if config.mount.height_m.is_none() {
-            self.note_depths(simd);
-        }
     }
 
     #[inline(always)]
     fn climb<S: Simd>(&mut self, simd: S) {
         let position = self.at * STRIP + AHEAD;
         self.climb.next(simd, &self.beams, &self.ranges, position);
-    }
-
-    /// Notes the depths of the columns that were read, of those that count.
-    #[inline(always)]
-    fn note_depths<S: Simd>(&mut self, simd: S) {
-        let position = self.at * STRIP + AHEAD;
-        let count = self.beams.order.end().saturating_sub(position).min(STRIP);
-        let counted = STRIP.saturating_sub(position);
-        for first in (counted..count).step_by(LANES) {
-            let mut depths_m = f32x16::splat(simd, f32::INFINITY);
-            let mut open = 0xFFFF;
-            for &row in self.beams.upwards() {
-                let lowest = self.ranges.read[row] >> first & open;
-                if lowest != 0 {
-                    let range = self.ranges.load(simd, row, AHEAD + first);
-                    let profile =
-                        self.beams
-                            .profile(simd, self.beams.row(row), position + first, range);
-                    let is = mask32x16::from_bitmask(simd, lowest);
-                    depths_m = is.select(-profile.height, depths_m);
-                    open &= !lowest;
-                }
-                if open == 0 {
-                    break;
-                }
-            }
-            let count = (count - first).min(LANES);
-            self.depths_m
-                .extend_from_slice(&depths_m.as_slice()[..count]);
-        }
     }
 
     /// Position of the strip at hand.
@@ -391,123 +336,6 @@ impl Strips {
         );
         for (index, segment) in sweep.segments[..segments].iter_mut().enumerate() {
             [segment.column_first, segment.column_last] = self.labels.columns(index, order);
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use std::f64::consts::TAU;
-
-    use fastrand::Rng;
-
-    use super::*;
-    use crate::assemble::lanes::levels;
-    use crate::buffers::HeapBuffer;
-    use crate::buffers::{Buffers, HeapBuffers};
-    use crate::segment::{Mount, points};
-    use crate::sensor::Beam;
-    use crate::sweep::layout::flags;
-    use crate::sweep::{Column, Shape};
-
-    const ROWS: usize = 16;
-
-    /// Columns of a turn of 100 or more, in which some pixels hold a return, and some
-    /// columns none.
-    fn noise(rng: &mut Rng, columns: usize, circular: bool) -> HeapBuffer {
-        let shape = Shape {
-            rows: ROWS,
-            columns_capacity: columns,
-            dual: false,
-            segments_capacity: 8,
-        };
-        let mut buffer = HeapBuffers::default().take(shape.total_bytes());
-        let sweep = SweepMut::create(buffer.as_mut(), &shape).unwrap();
-        (sweep.header.columns, sweep.header.flags) =
-            (columns as u32, if circular { flags::CIRCULAR } else { 0 });
-        for (index, column) in sweep.columns.iter_mut().enumerate() {
-            let azimuth_rad = index as f64 / columns.max(100) as f64 * TAU;
-            *column = Column::measured(0, 0, azimuth_rad as f32, (10.0 * TAU) as f32, 0);
-        }
-        for (row, beam) in sweep.beams.iter_mut().enumerate() {
-            *beam = Beam::ideal(row, (15.0 - 2.0 * row as f64).to_radians()).row(0);
-        }
-        for ranges in sweep.range.chunks_exact_mut(ROWS) {
-            let share = rng.f32() - 0.3;
-            ranges.fill_with(|| {
-                if rng.f32() < share {
-                    1.0 + 30.0 * rng.f32()
-                } else {
-                    0.0
-                }
-            });
-        }
-        buffer
-    }
-
-    /// Column by column, from the points one by one.
-    fn depths_m(sweep: &SweepRef<'_>, config: &Config) -> Vec<f32> {
-        let is_head_down = config.mount.stance() == Stance::HeadDown;
-        let of_column = |column: &[Option<points::Placed>]| {
-            let mut real = column.iter().flatten();
-            let lowest = if is_head_down {
-                real.next()
-            } else {
-                real.next_back()
-            };
-            lowest.map_or(f32::INFINITY, |placed| -placed.height_m)
-        };
-        points::placed(sweep, config)
-            .chunks_exact(ROWS)
-            .map(of_column)
-            .collect()
-    }
-
-    #[test]
-    fn each_column_tells_how_deep_its_lowest_return_lies_once() {
-        let mut rng = Rng::with_seed(1);
-        for round in 0..300 {
-            let (columns, circular) = (rng.usize(1..260), rng.bool());
-            let mut buffer = noise(&mut rng, columns, circular);
-            let sweep = SweepMut::open(buffer.as_mut()).unwrap();
-            let tilts_rad = [[0.0; 2], [0.1, -0.2], [-0.1, 3.0]];
-            let [pitch_rad, roll_rad] = tilts_rad[rng.usize(..3)];
-            let mount = Mount {
-                height_m: None,
-                pitch_rad,
-                roll_rad,
-            };
-            let config = Config {
-                mount,
-                max_range_m: 25.0,
-                ..Config::default()
-            };
-            let mut expected = depths_m(&sweep.as_ref(), &config);
-            expected.sort_by(f32::total_cmp);
-            for level in levels() {
-                let mut strips = Strips::new(level);
-                let check = |depths_m: &[f32], what: &str| {
-                    let mut found = depths_m.to_vec();
-                    found.sort_by(f32::total_cmp);
-                    let same = |(a, b): (&f32, &f32)| a == b || (a - b).abs() < 1e-4;
-                    assert!(
-                        found.len() == expected.len() && found.iter().zip(&expected).all(same),
-                        "round {round}, {what}, {columns} columns, circular {circular}, {level:?}"
-                    );
-                };
-                check(strips.sound(&sweep, &config), "sounded");
-                strips.begin(&sweep, &config, Some(1.0), None);
-                while strips.find_ground(&sweep, &config) {}
-                check(strips.depths_m(), "as a whole");
-                if circular {
-                    strips.begin(&sweep, &config, Some(1.0), Some(columns / 3));
-                    for ready in [Some(columns / 3), Some(columns / 2), None] {
-                        strips.go_on(&sweep, ready);
-                        while strips.find_ground(&sweep, &config) {}
-                    }
-                    check(strips.depths_m(), "early");
-                }
-            }
         }
     }
 }

@@ -3,7 +3,7 @@
 use crate::sweep::{BeamRow, Column};
 
 /// How far a beam points from the azimuth of its firing at this turning rate, radians.
-pub(super) fn turn_rad(beam: &BeamRow, rate_rad_s: f64) -> f64 {
+pub(crate) fn turn_rad(beam: &BeamRow, rate_rad_s: f64) -> f64 {
     rate_rad_s * f64::from(beam.time_offset_ns) * 1e-9 - f64::from(beam.rotation_rad)
 }
 

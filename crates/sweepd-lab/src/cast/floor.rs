@@ -4,7 +4,7 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use fastrand::Rng;
 use sweepd_core::floor::{Floor, FloorFinder, Sight};
-use sweepd_core::segment::Mount;
+use sweepd_core::segment::{Config, Mount};
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::SweepRef;
 
@@ -51,7 +51,10 @@ fn sensor(model: Model, height_m: f64, [pitch_deg, roll_deg]: [f64; 2]) -> Senso
 
 /// What is found by some sweeps, for a sensor that is said to be mounted like this.
 fn find(sensor: &mut Sensor, scene: &Scene, said: Mount, sweeps: u64) -> Sight {
-    let mut finder = FloorFinder::new(said);
+    let mut finder = FloorFinder::new(&Config {
+        mount: said,
+        ..Config::default()
+    });
     for seed in 1..=sweeps {
         sensor.seed = seed;
         let (bytes, _) = sensor.scan(scene, &Sector::TURN);
@@ -157,7 +160,7 @@ fn where_no_floor_is_seen_none_is_found() {
         shaft.ceiling_m = 8.0;
         assert_eq!(find(&mut high, &shaft, Mount::default(), 3), Sight::NoFloor);
     }
-    assert_eq!(FloorFinder::new(Mount::default()).sight(), Sight::Unknown);
+    assert_eq!(FloorFinder::new(&Config::default()).sight(), Sight::Unknown);
 }
 
 /// The sensor sits over a roof as wide as a car's, which hides a part of the floor.

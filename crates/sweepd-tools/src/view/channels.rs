@@ -154,7 +154,7 @@ pub(super) fn channels(
         over,
         ordinal: 0,
         sensor: 0,
-        floor: FloorFinder::new(Mount::default()),
+        floor: FloorFinder::new(&segment::Config::default()),
     };
     let channels = Channels {
         description: of_description,
@@ -223,7 +223,10 @@ impl Publisher {
             roll_rad: header.roll_rad,
         };
         if *self.floor.mount() != set {
-            self.floor = FloorFinder::new(set);
+            self.floor = FloorFinder::new(&segment::Config {
+                mount: set,
+                ..Default::default()
+            });
         }
         if self.floor.look(sweep) {
             let floor = floor::json(&self.floor.sight(), &set);
@@ -234,7 +237,7 @@ impl Publisher {
     /// What comes next is of another sensor, which sits elsewhere.
     pub(super) fn change_sensor(&mut self) {
         self.sensor += 1;
-        self.floor = FloorFinder::new(Mount::default());
+        self.floor = FloorFinder::new(&segment::Config::default());
         self.describe(|now| now.floor = Value::Null);
     }
 
