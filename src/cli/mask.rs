@@ -15,7 +15,7 @@ use crate::streams::{Stream, Streams};
 use crate::text::{count_of, grouped};
 use sweepd_core::assemble::Removal;
 use sweepd_core::buffers::{HeapBuffers, Memory};
-use sweepd_core::floor::{FloorFinder, Sight};
+use sweepd_core::floor::Sight;
 use sweepd_core::pipeline::{Config, Event, Labels, Options, Pipeline};
 use sweepd_core::segment::Mask;
 use sweepd_core::sweep::SweepRef;
@@ -122,7 +122,6 @@ struct Views {
     pipeline: Pipeline,
     memory: Memory<HeapBuffers>,
     fault: Option<String>,
-    floor: FloorFinder,
     /// By row and column of the picture, metres; infinite where there is none, no number where
     /// nothing was fired.
     sweeps: Vec<Vec<f32>>,
@@ -155,14 +154,12 @@ impl Views {
             labels: Labels::Elsewhere,
             ..Options::default()
         };
-        let floor = FloorFinder::new(&config.segment);
         let pipeline = Pipeline::with_options("", config, options)
             .map_err(|error| CliError::Failed(error.to_string()))?;
         Ok(Self {
             pipeline,
             memory: Memory::default(),
             fault: None,
-            floor,
             sweeps: Vec::new(),
             turns: 0,
             every: 1,
@@ -216,8 +213,8 @@ impl Views {
             {
                 self.sweeps.clear();
             }
-            self.floor.look(sweep);
-            self.sweeps.push(nearest_m(sweep, &self.floor.sight()));
+            let floor = self.pipeline.status().floor;
+            self.sweeps.push(nearest_m(sweep, &floor));
         }
         self.turns += 1;
     }

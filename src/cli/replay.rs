@@ -136,6 +136,7 @@ impl<'a> Replay<'a> {
             tell_written(written);
         }
         let is_read = messages::show_damage(capture, read);
+        messages::show_floor(&reports);
         let is_complete = messages::show_missing(args, &sections, capture, &sensors, &reports);
         let is_decoded = all.iter().all(|track| track.fault.is_none());
         if is_read && is_complete && is_decoded {

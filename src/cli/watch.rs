@@ -21,6 +21,7 @@ use crate::daemon::losses::{Losses, Turn};
 use crate::daemon::state::PATIENCE;
 use crate::doctor::health;
 use crate::doctor::plan::HEALTH;
+use crate::floor;
 use crate::judge::losses::{Limits, SensorAddress, Tally};
 use crate::suggest::nearest;
 use sweepd_client::client::{Client, Domain, SweepRef};
@@ -121,6 +122,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         newest: None,
         seen: 0,
         eye: 0,
+        in_doubt: false,
     }
     .run(&over)
     .map_err(|error| ended(error, &args.output.places()))
@@ -148,6 +150,8 @@ struct Watch<'a> {
     seen: u64,
     /// Bits of the newest sweep that say that the sensor does not see.
     eye: u32,
+    /// Whether the height of the sensor was in doubt.
+    in_doubt: bool,
 }
 
 impl Watch<'_> {
@@ -230,6 +234,7 @@ impl Watch<'_> {
         let now = Duration::from_nanos(receipt.monotonic_ns.unsigned_abs());
         self.note_losses(header, now);
         self.note_eye(header);
+        self.note_doubt(header);
         if let Some(table) = self.table.as_mut().filter(|_| !is_stale) {
             table.add(&sweep, latency_us, &self.client);
         }
@@ -283,6 +288,19 @@ impl Watch<'_> {
         } else if bits == 0 && was != 0 {
             complain("note", format_args!("{}: it sees again", header.name()));
         }
+    }
+
+    /// Reports once that the height of the sensor is in doubt, and once that it is not any more.
+    fn note_doubt(&mut self, header: &Header) {
+        let doubt = floor::of_header(header);
+        let was_in_doubt = std::mem::replace(&mut self.in_doubt, doubt.is_some());
+        let height_m = header.height_m;
+        let text = match doubt {
+            Some(finding) if !was_in_doubt => finding.to_string(),
+            None if was_in_doubt => format!("the height is no longer in doubt: {height_m:.2} m"),
+            _ => return,
+        };
+        complain("note", format_args!("{}: {text}", header.name()));
     }
 
     /// Why no sweep came.

@@ -466,7 +466,7 @@ impl Control {
                     );
                 }
                 Event::Time(source, doubt) => watcher.see_time(source, doubt).iter().for_each(log),
-                Event::Floor(sight, set) => log(&watcher.see_floor(sight, set)),
+                Event::Floor(seen) => watcher.see_floor(seen).iter().for_each(log),
                 Event::SharedAgain => info!("{name}: sweeps are shared again"),
             }
         }

@@ -1,6 +1,6 @@
 //! How the daemon is: every sensor and port, with reasons, as `/health` has it.
 
-use crate::{beams, floor};
+use crate::beams;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
@@ -231,7 +231,7 @@ fn sensor(sensor: &SensorStatus, is: &Condition) -> Value {
         "gps": counters.gps().map(|gps| gps.word()),
         "eye": eye_faults(counters.eye()).map(|fault| fault.name).collect::<Vec<_>>(),
         "dark_beams": beams::json(&counters.dark_beams()),
-        "floor": floor::json(&is.floor.0, &is.floor.1),
+        "floor": is.floor.json(),
         "shared_bytes": sensor.sharing.reserved_bytes(),
         "sharing_trouble": sensor.sharing.trouble(),
         "renewed_because": sensor.sharing.renewed_because(),

@@ -8,13 +8,13 @@ use std::sync::mpsc::Sender;
 use super::counters::{Gps, SensorCounters, Stage};
 use super::nap::Due;
 use super::sharing::{ObjectsOutput, Outgoing};
+use crate::floor;
 use crate::sensor_settings::FieldOfView;
 use sweepd_client::host::{monotonic_ns, realtime_ns};
 use sweepd_core::assemble::{GpsDoubt, GpsTime, vouched_utc_ns};
 use sweepd_core::buffers::{Buffers, Memory};
-use sweepd_core::floor::{FloorFinder, Sight};
 use sweepd_core::pipeline::{self, Arrival, Counts, Fault, Notice, Options, Pipeline};
-use sweepd_core::segment::{ConfigError, Mount};
+use sweepd_core::segment::ConfigError;
 use sweepd_core::sensor::detect;
 use sweepd_core::sensor::unit::Unit;
 use sweepd_core::sweep::layout::{Completion, TimeSource, flags};
@@ -27,6 +27,8 @@ use sweepd_core::wire::{Content, Packet, Position, hdl64};
 /// A sensor that could not be decoded is detected again after this time: it may have been
 /// exchanged, or its first packets may have been lost.
 const SECOND_LOOK_NS: i64 = 10_000_000_000;
+/// What fewer sweeps show of the floor is not told.
+const FLOOR_LOOKS: u64 = 5;
 
 /// A rare event of a sensor, for the log.
 #[derive(Debug)]
@@ -41,9 +43,8 @@ pub enum Event {
     NotShared(String),
     /// They can again.
     SharedAgain,
-    /// What it sees of the floor, once that is certain and when it has changed much, and the mount
-    /// that is set.
-    Floor(Sight, Mount),
+    /// What it sees of the floor, each time that it has looked.
+    Floor(floor::Seen),
     /// The clock of its sweeps, and what is doubtful about the time of its GPS receiver, when either
     /// changes.
     Time(TimeSource, Option<GpsDoubt>),
@@ -73,9 +74,8 @@ pub struct Sensor<B: Buffers> {
     objects: Option<Box<dyn ObjectsOutput>>,
     objects_every_ns: i64,
     finds_objects: bool,
-    floor: FloorFinder,
-    /// What was reported of the floor.
-    told_floor: Sight,
+    /// Sweeps that were looked at for the floor, as last reported.
+    floor_looks: u64,
     /// What was reported of its time.
     told_time: (TimeSource, Option<GpsDoubt>),
 }
@@ -112,7 +112,6 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
             events,
         } = identity;
         let pipeline = pipeline(&address, &config, None)?;
-        let floor = FloorFinder::new(&config.segment);
         Ok(Self {
             index,
             name,
@@ -131,8 +130,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
             objects: None,
             objects_every_ns: 0,
             finds_objects: false,
-            floor,
-            told_floor: Sight::Unknown,
+            floor_looks: 0,
             told_time: (TimeSource::Host, None),
         })
     }
@@ -272,8 +270,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         // They are counted anew.
         self.counters.set_dark_beams(iter::empty());
         self.counters.forget_eye();
-        self.floor = FloorFinder::new(&config.segment);
-        self.told_floor = Sight::Unknown;
+        self.floor_looks = 0;
         self.config = config;
         self.finds_objects = false;
         self.run_ns = realtime_ns();
@@ -283,9 +280,13 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
 
     /// Sends what became known.
     fn send_events(&mut self, dropped: u64) {
+        let mut has_swept = false;
         while let Some(event) = self.pipeline.poll(&mut self.memory) {
             match event {
-                pipeline::Event::Sweep(sweep) => self.send(sweep, dropped),
+                pipeline::Event::Sweep(sweep) => {
+                    self.send(sweep, dropped);
+                    has_swept = true;
+                }
                 pipeline::Event::Objects(objects) => {
                     let is_last = objects.flags & objects_flags::LAST != 0;
                     if let Some(output) = &mut self.objects {
@@ -306,6 +307,10 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
                 }
             }
         }
+        // It was looked for after that, so that consumers did not wait.
+        if has_swept {
+            self.tell_floor();
+        }
     }
 
     /// Completes the header of a sweep, publishes it, and counts it.
@@ -315,7 +320,6 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         let Ok(whole) = SweepMut::open(sweep.as_mut()) else {
             return self.counters.unshared.add(1);
         };
-        self.floor.sample(&whole.as_ref());
         let header = whole.header;
         let dropped_datagrams = u32::try_from(dropped - self.dropped_before).unwrap_or(u32::MAX);
         let name = &self.name[..];
@@ -338,18 +342,15 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
             .set_dark_beams(self.pipeline.status().dark_beams.iter());
         self.publish_held();
         self.publish(sweep, completed_monotonic_ns);
-        // Consumers do not wait for this.
-        if self.floor.fit() {
-            self.tell_floor();
-        }
     }
 
-    /// Reports what is seen of the floor, if that is news.
+    /// Reports what is seen of the floor, if it was looked at again.
     fn tell_floor(&mut self) {
-        let sight = self.floor.sight();
-        if self.floor.is_settled() && sight.is_news_after(&self.told_floor) {
-            self.told_floor = sight;
-            self.report(Event::Floor(sight, self.config.segment.mount));
+        let status = self.pipeline.status();
+        let (sight, looks) = (status.floor, status.floor_looks);
+        if std::mem::replace(&mut self.floor_looks, looks) != looks && looks >= FLOOR_LOOKS {
+            let seen = floor::Seen::new(sight, &self.config.segment);
+            self.report(Event::Floor(seen));
         }
     }
 

@@ -17,7 +17,6 @@ use crate::{beams, floor, gps};
 use sweepd_core::assemble::GpsDoubt;
 use sweepd_core::floor::Sight;
 use sweepd_core::pipeline::DarkBeam;
-use sweepd_core::segment::Mount;
 use sweepd_core::sensor::{Model, detect};
 use sweepd_core::sweep::eye::{eye_faults, eye_sentence};
 use sweepd_core::sweep::layout::TimeSource;
@@ -184,8 +183,8 @@ pub struct Condition {
     pub recent: Option<Recent>,
     /// The same in words, if packets are missing: share and cause, and the cure.
     pub losses: Option<[String; 2]>,
-    /// What it sees of the floor, and the mount that is set.
-    pub floor: (Sight, Mount),
+    /// What it sees of the floor.
+    pub floor: floor::Seen,
 }
 
 /// Watches one sensor.
@@ -221,7 +220,9 @@ pub struct Watcher {
     dark: Vec<DarkBeam>,
     /// Bits of the newest sweep that say that it does not see.
     eye: u32,
-    floor: (Sight, Mount),
+    floor: floor::Seen,
+    /// What was logged of the floor.
+    told_floor: Sight,
     /// The clock of its sweeps, and what is doubtful about GPS time.
     time: (TimeSource, Option<GpsDoubt>),
     /// What its packets tell beside its sweeps.
@@ -267,6 +268,7 @@ impl Watcher {
             dark: Vec::new(),
             eye: 0,
             floor: Default::default(),
+            told_floor: Sight::Unknown,
             time: (TimeSource::Host, None),
             remarks: Vec::new(),
             told_remarks: Vec::new(),
@@ -324,6 +326,7 @@ impl Watcher {
         self.hindrance = None;
         self.losses.begin_anew();
         self.floor = Default::default();
+        self.told_floor = Sight::Unknown;
         self.calibration = None;
     }
 
@@ -420,6 +423,7 @@ impl Watcher {
                 beams::CURE,
             ));
         }
+        all.extend(self.floor.finding());
         all.extend(self.time.1.as_ref().map(gps::finding));
         all
     }
@@ -598,20 +602,19 @@ impl Watcher {
         is_over.then(|| self.message(false, "it sees again"))
     }
 
-    /// Takes what is seen of the floor, and gives the message: how the sensor is mounted by it, and
-    /// whether that is how it is set.
-    pub fn see_floor(&mut self, sight: Sight, set: Mount) -> Message {
-        self.floor = (sight, set);
-        let Sight::Floor(seen) = sight else {
-            return self.message(false, floor::NOT_SEEN);
-        };
-        let line = floor::line(&seen);
-        match floor::difference(&seen, &set) {
-            Some(difference) => {
-                self.message(true, &format!("{difference}: {}: {line}", floor::CURE))
-            }
-            None => self.message(false, &format!("{}: {line}", floor::MOUNTED)),
+    /// Takes what is seen of the floor, and gives a message if that is news: how the sensor is mounted
+    /// by it and whether that is how it is set, or what is in doubt.
+    pub fn see_floor(&mut self, seen: floor::Seen) -> Option<Message> {
+        self.floor = seen;
+        // Once is enough to tell that a mount cannot be checked.
+        let is_unchecked = !seen.is_estimated && seen.sight.doubt().is_some();
+        let is_told = is_unchecked && self.told_floor != Sight::Unknown;
+        if is_told || !seen.sight.is_news_after(&self.told_floor) {
+            return None;
         }
+        self.told_floor = seen.sight;
+        let finding = seen.finding()?;
+        Some(self.message(finding.is_trouble(), &finding.to_string()))
     }
 
     /// Takes the clock of the newest sweep and what is doubtful about GPS time; gives a message for

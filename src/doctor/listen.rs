@@ -7,15 +7,16 @@ use super::observe::{ObservedPort, ObservedSensor, PortResult, PositionSender};
 use super::plan::{ExpectedSensor, Plan};
 use crate::admission::{Refusal, Route, Sender};
 use crate::cure::{Dialect, explain};
+use crate::floor::Seen;
 use crate::input::{Placed, UdpConfig, UdpError, UdpSource};
 use crate::sensor_settings::FieldOfView;
 use crate::strangers::Strangers;
 use crate::streams::{Stream, Streams};
 use sweepd_core::assemble::GpsTime;
 use sweepd_core::buffers::{HeapBuffers, Memory};
-use sweepd_core::floor::FloorFinder;
-use sweepd_core::pipeline::{Config, Event, Notice, Pipeline};
-use sweepd_core::segment::{self, ConfigError};
+use sweepd_core::floor::Sight;
+use sweepd_core::pipeline::{Config, Event, Labels, Notice, Options, Pipeline};
+use sweepd_core::segment::ConfigError;
 use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::{TimeSource, flags};
 use sweepd_core::wire::{Content, Packet};
@@ -56,7 +57,6 @@ struct DecodedSensor {
     pipeline: Pipeline,
     memory: Memory<HeapBuffers>,
     sweeps: u64,
-    floor: FloorFinder,
 }
 
 /// Opens all ports of the plan and listens for a time. `opened` gets the ports that could be opened
@@ -189,19 +189,25 @@ impl Stream for DecodedSensor {
 impl DecodedSensor {
     /// A sensor that has sent nothing yet, mounted as the one of these that it is taken for.
     fn new(sender: &Sender, sensors: &[ExpectedSensor]) -> Result<Self, ConfigError> {
-        let observed = ObservedSensor::new(sender.source, sender.destination_port);
+        let mut observed = ObservedSensor::new(sender.source, sender.destination_port);
         let expected = sensors.iter().find(|one| observed.matches(one));
-        let mut config = Config::default();
-        // The labels are not used.
-        config.segment.min_range_m = 0.0;
-        config.segment.max_range_m = 0.01;
+        let segment = expected.map_or_else(Default::default, |one| one.segment.clone());
+        observed.floor = Seen {
+            set: expected.map(|one| one.segment.mount),
+            ..Seen::new(Sight::Unknown, &segment)
+        };
+        let config = Config {
+            segment,
+            ..Config::default()
+        };
+        let options = Options {
+            // None are needed.
+            labels: Labels::Elsewhere,
+            ..Options::default()
+        };
         Ok(Self {
-            floor: FloorFinder::new(&segment::Config {
-                mount: expected.map(|one| one.mount).unwrap_or_default(),
-                ..Default::default()
-            }),
             observed,
-            pipeline: Pipeline::new("", config)?,
+            pipeline: Pipeline::with_options("", config, options)?,
             memory: Memory::default(),
             sweeps: 0,
         })
@@ -239,7 +245,6 @@ impl DecodedSensor {
         let doubt = self.pipeline.status().gps.and_then(GpsTime::doubt);
         let observed = &mut self.observed;
         observed.gps_doubt = doubt.or(observed.gps_doubt);
-        self.floor.look(sweep);
         self.sweeps += 1;
         // The first one begins anywhere.
         if self.sweeps > 1 {
@@ -258,7 +263,7 @@ impl DecodedSensor {
         let status = self.pipeline.status();
         self.observed.counts = status.counts;
         self.observed.dark_beams = status.dark_beams.iter().collect();
-        self.observed.floor = self.floor.sight();
+        self.observed.floor.sight = status.floor;
         if let Some(detection) = status.detection {
             self.observed.model = Some(detection.model);
             self.observed

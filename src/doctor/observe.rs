@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use serde_json::Value;
 
 use super::plan::{ExaminedPort, ExpectedSensor, Plan};
+use crate::floor;
 use crate::input::udp::ReceiveBuffer;
 use crate::judge::Fix;
 use crate::network::Drops;
@@ -14,7 +15,6 @@ use crate::sensor_settings::FieldOfView;
 use crate::strangers::Stranger;
 use crate::web_interface::Page;
 use sweepd_core::assemble::GpsDoubt;
-use sweepd_core::floor::Sight;
 use sweepd_core::pipeline::{Counts, DarkBeam};
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::data::ReturnMode;
@@ -151,7 +151,7 @@ pub struct ObservedSensor {
     /// Beams that are dark at the end.
     pub dark_beams: Vec<DarkBeam>,
     /// What it sees of the floor.
-    pub floor: Sight,
+    pub floor: floor::Seen,
     /// How far the host's clock is ahead of UTC by GPS, seconds, where GPS vouches for it.
     pub host_ahead_s: Option<f64>,
     /// The newest doubt about the time of its GPS receiver.
@@ -174,7 +174,7 @@ impl ObservedSensor {
             fov: None,
             flags: 0,
             dark_beams: Vec::new(),
-            floor: Sight::Unknown,
+            floor: floor::Seen::default(),
             host_ahead_s: None,
             gps_doubt: None,
         }

@@ -15,6 +15,8 @@ use std::str::FromStr;
 
 use serde::Serialize;
 
+use crate::floor;
+use crate::judge::Finding;
 use place::{Beams, front_m, median, quantile};
 use sweepd_core::floor::FloorFinder;
 use sweepd_core::pipeline::Config;
@@ -157,6 +159,8 @@ pub struct Trial {
     config: Option<Config>,
     /// What the sweeps show of the floor.
     floor: Option<FloorFinder>,
+    /// What the newest header says of the height that labels took, if that is in doubt.
+    doubt: Option<Finding>,
     /// Sweeps that were judged.
     sweeps: u32,
     /// Sweeps in which the height of the sensor was not known yet.
@@ -194,6 +198,7 @@ impl Trial {
             obstacle,
             config,
             floor: None,
+            doubt: None,
             sweeps: 0,
             without_height: 0,
             seen: BTreeMap::new(),
@@ -232,6 +237,7 @@ impl Trial {
         if header.has(flags::PARTIAL) || self.is_over() {
             return;
         }
+        self.doubt = floor::of_header(header);
         if header.height_m <= 0.0 {
             self.without_height += 1;
             return;
@@ -284,15 +290,11 @@ impl Trial {
         }
     }
 
-    /// The mount that is set. A header has the height also where it is estimated.
+    /// The mount that is set.
     fn mount_of(&self, header: &Header) -> Mount {
         match &self.config {
             Some(config) => config.segment.mount,
-            None => Mount {
-                height_m: None,
-                pitch_rad: header.pitch_rad,
-                roll_rad: header.roll_rad,
-            },
+            None => floor::mount_of(header),
         }
     }
 

@@ -8,7 +8,7 @@ use crate::input::UdpConfig;
 use crate::input::udp::ample_buffer_bytes;
 use crate::judge::losses::Limits;
 use crate::sensor_settings::Settings;
-use sweepd_core::segment::Mount;
+use sweepd_core::segment;
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::{DATA_PORT, POSITION_PORT};
 
@@ -62,10 +62,8 @@ pub struct ExpectedSensor {
     pub dual: Option<bool>,
     /// Consumers at most.
     pub max_consumers: usize,
-    /// Pixels of the smallest segment.
-    pub min_points: usize,
-    /// How it is mounted.
-    pub mount: Mount,
+    /// How it is mounted and segmented.
+    pub segment: segment::Config,
     /// Shares of its packets above which losses are told.
     pub losses: Limits,
 }
@@ -81,8 +79,7 @@ impl ExpectedSensor {
             want: sensor.want.clone(),
             dual: sensor.dual,
             max_consumers: sensor.max_consumers,
-            min_points: sensor.pipeline.segment.min_points as usize,
-            mount: sensor.pipeline.segment.mount,
+            segment: sensor.pipeline.segment.clone(),
             losses: sensor.losses,
         }
     }

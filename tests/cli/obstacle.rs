@@ -128,7 +128,7 @@ fn a_box_that_is_seen_is_told_in_time() {
 #[test]
 fn a_wrong_mount_is_told_with_the_right_one() {
     let low = room(vec![cuboid([0.0, 2.15], [0.4, 0.3, 0.15])]);
-    let right = "pitch_deg = -10.0\n";
+    let right = "mount = { height_m = 0.400, pitch_deg = -10.0, roll_deg = ";
     let ground = [
         "pitch_deg = -7",
         right,

@@ -438,7 +438,7 @@ fn in_frame(folder: &Folder, name: &str, options: &[&str]) -> ([Vec<Lengths>; 3]
                 .map(|length| length.as_f64().unwrap())
                 .collect()
         });
-    ([points, segments, objects.collect()], ran.stderr)
+    ([points, segments, objects.collect()], ran.said().collect())
 }
 
 /// The sensor's x, y, z where its right side is 20 degrees down and its nose 10 degrees up.

@@ -1,19 +1,21 @@
 //! A running daemon, its log and `/health`, and the doctor and consumers beside it.
 
-use std::net::{Ipv4Addr, SocketAddr};
+use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 use sweepd::doctor::{Finding, Observations, Plan, examine, health};
+use sweepd::input::PcapWriter;
+use sweepd::input::write::Addressed;
 use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode::Strongest;
 use sweepd_lab::testkit::TempDomain;
 
 use crate::common::web_page::WebPage;
 use crate::common::{free_port, temp_domain};
-use crate::stream::Spin;
+use crate::stream::{START_NS, Spin};
 use crate::{LOCAL, found, pandar40p, send, spin, vlp16};
 
 /// A program that ends with the test.
@@ -287,8 +289,7 @@ fn found_in(seen: &Observations) -> String {
 #[test]
 fn settings_other_than_wanted_are_told_by_the_daemon_and_the_doctor() {
     let port = free_port();
-    let want =
-        "[sensor.want]\nrpm = 600\nreturns = \"dual\"\nfov = \"0-359\"\nhost = \"192.168.1.100\"\n";
+    let want = "mount = { height_m = 1.9 }\n[sensor.want]\nrpm = 600\nreturns = \"dual\"\nfov = \"0-359\"\nhost = \"192.168.1.100\"\n";
     let robot = Robot::new(&(sensor("roof", "127.0.0.1", port) + want));
     let half = Spin {
         fov: Some((27_000.0, 9_000.0)),
@@ -326,6 +327,85 @@ fn settings_other_than_wanted_are_told_by_the_daemon_and_the_doctor() {
         );
         assert_eq!(page.forms(), []);
     });
+}
+
+/// A sensor whose returns lie anywhere: no floor is among them. The daemon, its log, the doctor beside it
+/// and alone, and a replay of the same packets say so in the same words, and nothing of it where the
+/// height is configured.
+#[test]
+fn a_floor_that_is_not_seen_is_told_everywhere_in_the_same_words() {
+    let (what, cure) = (
+        "no floor is seen: everything is an obstacle",
+        "set height_m",
+    );
+    let ports = [free_port(), free_port()];
+    let robot = Robot::new(&sensor("roof", "127.0.0.1", ports[0]));
+    let noise = spin(Spin::new(Model::Vlp16, Strongest, 600.0), 30.0);
+    let over = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let _ends = Ends(&over);
+        scope.spawn(|| send(&noise, LOCAL, &ports[..1], &over));
+        let daemon = robot.daemon();
+        let mut health = Value::Null;
+        until(20, || {
+            health = robot.health();
+            match health["sensors"][0]["reason"] == format!("{what}: {cure}") {
+                true => Ok(()),
+                false => Err(format!("{health:#}")),
+            }
+        });
+        let sensor = &health["sensors"][0];
+        assert!(health["status"] == "warning" && sensor["state"] == "streaming");
+        let floor = json!({
+            "height_m": null, "pitch_deg": null, "roll_deg": null, "lines": null, "trouble": what, "doubt": what,
+        });
+        assert_eq!(sensor["floor"], floor);
+        robot.wait_for("daemon.log", &format!("roof: {what}: {cure}"));
+        let is_it = |one: &&Value| one["topic"] == "mount";
+        let beside = doctor_beside(&robot, ports);
+        drop(daemon);
+        let log = robot.read("daemon.log");
+        assert_eq!(log.matches(what).count(), 1, "{log}");
+        let alone = doctor(&["--config", &robot.config(), "--seconds", "2", "--no-web"]);
+        for (told, name) in [(beside, "roof"), (alone, "roof (127.0.0.1")] {
+            let told = told.iter().find(is_it).unwrap();
+            let told_what = told["what"].as_str().unwrap();
+            assert!(told_what.starts_with(name) && told_what.ends_with(&format!(": {what}")));
+            assert!(
+                told["severity"] == "warning" && told["cure"] == cure,
+                "{told}"
+            );
+        }
+    });
+    let path = robot.own.root().join("noise.pcap");
+    let mut file = PcapWriter::new(std::fs::File::create(&path).unwrap()).unwrap();
+    for (after, payload) in noise.iter().take_while(|(after, _)| after.as_secs() < 1) {
+        let here = SocketAddrV4::new(LOCAL, 2368);
+        let arrival_ns = START_NS + after.as_nanos() as i64;
+        let datagram = Addressed {
+            arrival_ns,
+            source: here,
+            destination: here,
+            payload,
+        };
+        file.write(&datagram).unwrap();
+    }
+    drop(file);
+    for (more, doubt) in [(&[][..], json!(what)), (&["--height", "1.5"], Value::Null)] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_sweepd"));
+        let done = command
+            .args(["replay", "--json"])
+            .arg(&path)
+            .args(more)
+            .output()
+            .unwrap();
+        let lines = String::from_utf8(done.stdout).unwrap();
+        let summary: Value = serde_json::from_str(lines.lines().last().unwrap()).unwrap();
+        assert_eq!(summary["summary"]["sensors"][0]["height_doubt"], doubt);
+        let warning = format!("warning: 127.0.0.1:2368: {what}: {cure}\n");
+        let said = String::from_utf8(done.stderr).unwrap();
+        assert_eq!(said.contains(&warning), !doubt.is_null(), "{said}");
+    }
 }
 
 /// What the doctor tells of settings.

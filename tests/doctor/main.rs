@@ -19,7 +19,7 @@ use sweepd::doctor::observe::PortResult;
 use sweepd::doctor::plan::{ExaminedPort, ExpectedSensor};
 use sweepd::doctor::{Finding, Observations, Plan, Severity, Topic, diagnose, examine};
 use sweepd::judge::losses::Limits;
-use sweepd::segment::Mount;
+use sweepd::segment;
 use sweepd::sensor::Model;
 use sweepd::sensor_settings::{Rpm, Settings};
 use sweepd::wire::data::ReturnMode::Strongest;
@@ -202,8 +202,7 @@ fn what_is_configured_is_held_against_what_comes() {
         },
         dual: None,
         max_consumers: 4,
-        min_points: 10,
-        mount: Mount::default(),
+        segment: segment::Config::default(),
         losses: Limits::default(),
     };
     let sensors = vec![

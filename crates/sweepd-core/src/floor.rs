@@ -128,12 +128,16 @@ impl Sight {
     }
 
     /// Whether people want to know of it who know of another: the first, a floor where there was
-    /// none, or one that lies elsewhere.
+    /// none or none where there was one, a doubt that begins or is over, or a sure floor that lies
+    /// elsewhere. In doubt it may lie elsewhere at each look.
     pub fn is_news_after(&self, known: &Self) -> bool {
         match (self, known) {
-            (Self::Unknown, _) | (Self::NoFloor, Self::NoFloor | Self::Floor(_)) => false,
-            (_, Self::Unknown) | (Self::Floor(_), Self::NoFloor) => true,
-            (Self::Floor(now), Self::Floor(known)) => now.differs_from(&known.mount()),
+            (Self::Unknown, _) | (Self::NoFloor, Self::NoFloor) => false,
+            (Self::Floor(now), Self::Floor(known)) => {
+                let is_sure = now.doubt.is_none();
+                is_sure != known.doubt.is_none() || is_sure && now.differs_from(&known.mount())
+            }
+            _ => true,
         }
     }
 }

@@ -71,7 +71,15 @@ impl Turns {
 
     /// The floor, for programs.
     pub fn floor(&self) -> Value {
-        floor::json(&self.floor.sight(), &self.said.unwrap_or_default())
+        self.seen().json()
+    }
+
+    fn seen(&self) -> floor::Seen {
+        floor::Seen {
+            sight: self.floor.sight(),
+            set: self.said,
+            is_estimated: self.said.is_none_or(|said| said.height_m.is_none()),
+        }
     }
 
     /// Adds rows for the beams that are dark at the end, for what the sensor did not see, and for the
@@ -91,7 +99,10 @@ impl Turns {
     fn describe_floor(&self, text: &mut String) {
         let seen = match self.floor.sight() {
             Sight::Unknown => return,
-            Sight::NoFloor => return row(text, "floor", floor::NOT_SEEN),
+            Sight::NoFloor => {
+                let why = self.seen().finding().map(|finding| finding.what);
+                return row(text, "floor", why.unwrap_or_default());
+            }
             Sight::Floor(seen) => seen,
         };
         row(text, "floor", format_args!("{}:", floor::MOUNTED));

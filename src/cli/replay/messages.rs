@@ -6,6 +6,7 @@ use crate::admission::DiscoveredSensors;
 use crate::cli::sections::Sections;
 use crate::cli::{complain, warn_of};
 use crate::input::{Capture, CaptureError};
+use crate::judge::Finding;
 use crate::text::{count_of, utc_text};
 
 /// Shows where the capture is damaged. Returns whether it could be read at all.
@@ -25,6 +26,15 @@ pub(super) fn show_damage(capture: &Capture, read: Result<(), CaptureError>) -> 
         );
     }
     read.is_ok()
+}
+
+/// Shows what is in doubt or wrong with the mounts.
+pub(super) fn show_floor(reports: &[SensorReport<'_>]) {
+    for report in reports {
+        if let Some(finding) = report.floor.finding().filter(Finding::is_trouble) {
+            complain("warning", format_args!("{}: {finding}", report.sensor));
+        }
+    }
 }
 
 /// Shows what was asked for and is not there. Returns whether all is there.

@@ -5,6 +5,7 @@ use std::io::{self, Write};
 use serde::Serialize;
 
 use crate::cli::output::{StageUs, rounded, time_source_name};
+use crate::floor::{self, Seen};
 use crate::input::Capture;
 use crate::text::{count_of, grouped, row};
 use sweepd_core::pipeline::Counts;
@@ -145,6 +146,8 @@ pub struct SensorReport<'a> {
     pub counts: Counts,
     /// What its sweeps came to.
     pub sums: &'a Sums,
+    /// What they show of the floor.
+    pub floor: Seen,
     /// Whether partial sweeps were emitted.
     pub partial_emitted: bool,
 }
@@ -189,6 +192,7 @@ struct SensorSummary<'a> {
     segments_per_sweep: f64,
     height_m: Option<f64>,
     height_estimated: Option<bool>,
+    height_doubt: Option<String>,
     packets: u64,
     position_packets: u64,
     lost_packets: u64,
@@ -259,6 +263,7 @@ impl<'a> SensorReport<'a> {
                 .height
                 .map(|(height, _)| rounded(f64::from(height), 1000.0)),
             height_estimated: sums.height.map(|(_, estimated)| estimated),
+            height_doubt: self.floor.doubt(),
             packets: counts.data,
             position_packets: counts.position,
             lost_packets: counts.lost,
@@ -335,9 +340,17 @@ impl<'a> SensorReport<'a> {
         };
         row(table, "returns", grouped(sums.returns) + &removed);
         let percent = 100.0 * means.ground_share();
-        let height = self.height();
-        let ground = format_args!("{percent:.1} % of the returns{height}");
+        let on_side = if sums.on_side {
+            "; on its side, the sensor has none"
+        } else {
+            ""
+        };
+        let ground = format_args!("{percent:.1} % of the returns{on_side}");
         row(table, "ground", ground);
+        let set = self.floor.set.unwrap_or_default();
+        if self.floor.is_estimated || set.height_m.is_some() {
+            row(table, "height", floor::height(&self.floor.sight, &set));
+        }
         let segments = means.segments();
         row(table, "segments", format_args!("{segments:.1} a sweep"));
         let clocks = sums.sources.iter().map(|&name| match name {
@@ -345,23 +358,6 @@ impl<'a> SensorReport<'a> {
             _ => "time of the capture (no GPS lock reported)",
         });
         row(table, "clock", clocks.collect::<Vec<_>>().join(", "));
-    }
-
-    /// How high the sensor is, where that is known.
-    fn height(&self) -> String {
-        let means = &self.sums.means;
-        match self.sums.height {
-            Some((height, true)) => {
-                format!("; sensor {height:.2} m above it (estimated; --height if you know it)")
-            }
-            Some((height, false)) => format!("; sensor {height:.2} m above it"),
-            None if self.sums.on_side => "; on its side, the sensor has none".to_owned(),
-            None if means.ground == 0 && means.segmented > 0 => {
-                "; the height of the sensor was not found, so none is labelled: give --height"
-                    .to_owned()
-            }
-            None => String::new(),
-        }
     }
 
     fn losses(&self) -> String {

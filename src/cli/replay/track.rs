@@ -14,6 +14,7 @@ use crate::cli::output::SweepId;
 use crate::cli::play::When;
 use crate::cli::sections::Sections;
 use crate::cli::{CliError, complain};
+use crate::floor::Seen;
 use crate::gps;
 use crate::input::Placed;
 use crate::publish::Slot;
@@ -22,7 +23,9 @@ use crate::text::count_of;
 use sweepd_client::host::realtime_ns;
 use sweepd_core::assemble::{GpsDoubt, GpsTime};
 use sweepd_core::buffers::Memory;
+use sweepd_core::floor::Sight;
 use sweepd_core::pipeline::{Arrival, Counts, Event, Fault, Labels, Notice, Options, Pipeline};
+use sweepd_core::segment::Mount;
 use sweepd_core::sensor::compare::Difference;
 use sweepd_core::sensor::detect::Detection;
 use sweepd_core::sweep::Pose;
@@ -53,6 +56,8 @@ pub(super) struct Track<'a> {
     source: String,
     name: String,
     mount: Pose,
+    /// What is set, to hold the floor against.
+    floor: Seen,
     pipeline: Pipeline,
     /// Kept from round to round.
     memory: Memory<JobBuffers>,
@@ -92,13 +97,19 @@ impl<'a> Track<'a> {
         if let Some(note) = args.publish.note(index, name) {
             setup.progress.suspend(|| complain("note", note));
         }
-        let mount = setup.sections.all()[section].sensor.pipeline.mount();
+        let config = &setup.sections.all()[section].sensor.pipeline;
+        let mount = config.mount();
         if let Some(note) = args.output.mount_note(name, &mount, args.objects) {
             setup.progress.suspend(|| complain("note", note));
         }
         Ok(Self {
             args,
             mount,
+            floor: Seen {
+                // Of most captures nothing is said.
+                set: Some(config.segment.mount).filter(|set| *set != Mount::default()),
+                ..Seen::new(Sight::Unknown, &config.segment)
+            },
             progress: setup.progress.clone(),
             index,
             section,
@@ -142,6 +153,10 @@ impl<'a> Track<'a> {
             fault: self.fault.as_deref(),
             counts: self.counts(),
             sums,
+            floor: Seen {
+                sight: self.pipeline.status().floor,
+                ..self.floor
+            },
             partial_emitted: self.args.play.partial,
         }
     }

@@ -1,6 +1,8 @@
 use super::*;
 use crate::sensor_settings::{Returns, Rpm};
 use sweepd_core::floor::Floor;
+use sweepd_core::segment::{self, Mount};
+use sweepd_core::sweep::height::HeightDoubt;
 use sweepd_core::sweep::layout::flags;
 use sweepd_core::wire::nmea::NmeaError;
 
@@ -268,12 +270,8 @@ fn lose(roof: &mut Watched, seconds: u32, lost: u64) -> Vec<String> {
     told
 }
 
-#[test]
-fn a_floor_is_told_with_the_mount_that_it_gives() {
-    let mut roof = Watched::new(None);
-    let told = roof.watcher.see_floor(Sight::NoFloor, Mount::default());
-    assert!(!told.is_warning && told.text.starts_with("roof: no floor"));
-    let floor = Floor {
+fn floor(doubt: Option<HeightDoubt>) -> Floor {
+    Floor {
         height_m: 0.4,
         pitch_rad: (-10_f32).to_radians(),
         roll_rad: 0.0,
@@ -282,17 +280,91 @@ fn a_floor_is_told_with_the_mount_that_it_gives() {
         roll_spread_rad: 0.0,
         sweeps: 15,
         looks: 15,
-        doubt: None,
-    };
+        doubt,
+    }
+}
+
+#[test]
+fn a_floor_is_told_with_the_mount_that_it_gives() {
     let line = "mount = { height_m = 0.400, pitch_deg = -10.0, roll_deg = 0.0 }  # spread 0.001 m";
-    for (set, is_warning) in [(floor.mount(), false), (Mount::default(), true)] {
-        let told = roof.watcher.see_floor(Sight::Floor(floor), set);
+    for (mount, is_warning) in [(floor(None).mount(), false), (Mount::default(), true)] {
+        let mut roof = Watched::new(None);
+        roof.observe(5, 75, 1);
+        let config = segment::Config {
+            mount,
+            ..Default::default()
+        };
+        let see =
+            |roof: &mut Watched, sight| roof.watcher.see_floor(floor::Seen::new(sight, &config));
+        let told = see(&mut roof, Sight::Floor(floor(None))).unwrap();
         assert!(
             told.is_warning == is_warning && told.text.contains(line),
             "{told:?}"
         );
+        let complaint = roof.watcher.complaint();
+        assert_eq!(complaint.is_some_and(|one| one.contains(line)), is_warning);
+        assert_eq!(see(&mut roof, Sight::Floor(floor(None))), None);
     }
-    assert_eq!(roof.watcher.condition().floor.0, Sight::Floor(floor));
+}
+
+/// The log has each doubt once, whatever its numbers, and that it is over; `/health` has the newest.
+#[test]
+fn a_doubt_about_the_height_is_logged_when_it_begins_and_when_it_is_over() {
+    let mut roof = Watched::new(None);
+    roof.observe(5, 75, 1);
+    let mount = Mount {
+        height_m: None,
+        ..floor(None).mount()
+    };
+    let config = segment::Config {
+        mount,
+        ..Default::default()
+    };
+    let doubt = |far_dm| Sight::Floor(floor(Some(HeightDoubt::Small { far_dm })));
+    let deeper = Floor {
+        height_m: 0.8,
+        ..floor(None)
+    };
+    for (sight, logged) in [
+        (
+            Sight::NoFloor,
+            Some("no floor is seen: everything is an obstacle: set height_m"),
+        ),
+        (Sight::NoFloor, None),
+        (doubt(9), Some("it ends 0.9 m from the sensor")),
+        (doubt(8), None),
+        (Sight::Floor(floor(None)), Some("height_m = 0.400")),
+        (Sight::Floor(deeper), Some("height_m = 0.800")),
+        (
+            doubt(7),
+            Some("the height is a guess: 0.40 m; it ends 0.7 m"),
+        ),
+        (Sight::NoFloor, Some("no floor is seen")),
+    ] {
+        let seen = floor::Seen::new(sight, &config);
+        let told = roof.watcher.see_floor(seen);
+        assert_eq!(told.is_some(), logged.is_some(), "{sight:?}: {told:?}");
+        if let Some((told, words)) = told.zip(logged) {
+            assert!(told.text.contains(words), "{told:?}");
+            assert_eq!(told.is_warning, sight.doubt().is_some());
+        }
+        let condition = roof.watcher.condition();
+        assert!(condition.state == State::Streaming && !condition.is_fault);
+        assert_eq!(condition.complaint.is_some(), sight.doubt().is_some());
+        assert!(condition.findings.contains(&seen.finding().unwrap()));
+    }
+    // What is configured is no warning, and told once.
+    let mut roof = Watched::new(None);
+    let config = segment::Config {
+        mount: floor(None).mount(),
+        ..config
+    };
+    let mut see = |sight| roof.watcher.see_floor(floor::Seen::new(sight, &config));
+    assert!(!see(Sight::NoFloor).unwrap().is_warning);
+    assert!(see(Sight::Floor(floor(None))).is_some());
+    for sight in [doubt(7), Sight::NoFloor, Sight::Floor(floor(None))] {
+        assert_eq!(see(sight), None);
+    }
 }
 
 #[test]

@@ -123,7 +123,12 @@ pub fn sweep_bytes(expected: &ExpectedSensor, seen: &Observations) -> u64 {
         .dual
         .or(found_mode.map(|mode| mode == ReturnMode::Dual))
         .unwrap_or(true);
-    Shape::of(model.spec().channels, dual, expected.min_points).total_bytes() as u64
+    Shape::of(
+        model.spec().channels,
+        dual,
+        expected.segment.min_points as usize,
+    )
+    .total_bytes() as u64
 }
 
 fn mib(bytes: u64) -> u64 {

@@ -13,9 +13,9 @@ use serde_json::Value;
 
 use super::observe::{Observations, PortResult};
 use super::{Finding, Severity, Topic};
+use crate::beams;
 use crate::daemon::counter_table::{Counter, OF_PORT, OF_SENSOR};
 use crate::strangers::{Cause, Stranger};
-use crate::{beams, floor};
 
 /// Smallest share of missing packets that is more than a note.
 const LEAST_LOSS: f64 = 0.001;
@@ -143,7 +143,6 @@ fn daemon(seen: &Observations, health: &Value, findings: &mut Findings) {
     for sensor in elements(&health["sensors"]) {
         losses(sensor, findings);
         dark_beams(sensor, findings);
-        floor(sensor, findings);
     }
     for port in elements(&health["ports"]) {
         let dropped = port["dropped"].as_u64().unwrap_or(0);
@@ -278,29 +277,6 @@ fn dark_beams(sensor: &Value, findings: &mut Findings) {
     if let Some(sentence) = beams::sentence(&dark) {
         let name = clean(&sensor["name"]).unwrap_or_else(|| "a sensor".to_owned());
         findings.note(Topic::Lasers, format!("{name}: {sentence}"), beams::CURE);
-    }
-}
-
-/// What a sensor of a running daemon sees of the floor.
-fn floor(sensor: &Value, findings: &mut Findings) {
-    let floor = &sensor["floor"];
-    let lines = floor["lines"].as_str().unwrap_or_default().lines();
-    let lines: Vec<String> = lines.filter_map(|line| clean(&line.into())).collect();
-    let name = clean(&sensor["name"]).unwrap_or_else(|| "a sensor".to_owned());
-    let lines = lines.join("\n");
-    match clean(&floor["trouble"]) {
-        Some(trouble) if lines.is_empty() => {
-            findings.note(Topic::Mount, format!("{name}: {trouble}"), "");
-        }
-        Some(trouble) => {
-            let cure = format!("{}:\n{lines}", floor::CURE);
-            findings.warning(Topic::Mount, format!("{name}: {trouble}"), cure);
-        }
-        None if lines.is_empty() => {}
-        None => {
-            let what = format!("{name}: {}", floor::MOUNTED);
-            findings.note(Topic::Mount, what, lines);
-        }
     }
 }
 

@@ -9,9 +9,8 @@ use crate::doctor::plan::ExpectedSensor;
 use crate::doctor::{Severity, Topic};
 use crate::judge::losses::{Limits, Recent, SensorAddress, Tally};
 use crate::judge::{self, CLOCK_OFF_S, Remark};
-use crate::{beams, floor, gps};
+use crate::{beams, gps};
 use sweepd_core::assemble::GpsDoubt;
-use sweepd_core::floor::Sight;
 use sweepd_core::pipeline::DarkBeam;
 use sweepd_core::sensor::{Model, ModelExt};
 use sweepd_core::sweep::layout::flags;
@@ -48,7 +47,11 @@ pub(super) fn find(seen: &Observations, findings: &mut Findings) {
             check.loss(seen);
             check.settings(seen.web_at(sensor.source.ip()).is_some());
             check.beams();
-            check.floor();
+            let floor = check.sensor.floor.finding();
+            check
+                .findings
+                .0
+                .extend(floor.map(|one| one.of(&check.name)));
             check.clock(seen.position_sender(sensor.source.ip()));
         }
     }
@@ -275,23 +278,6 @@ impl SensorCheck<'_> {
                 false => Severity::Note,
             };
             self.add(severity, Topic::Lasers, sentence, beams::CURE);
-        }
-    }
-
-    fn floor(&mut self) {
-        let floor = match self.sensor.floor {
-            Sight::Unknown => return,
-            Sight::NoFloor => return self.note(Topic::Mount, floor::NOT_SEEN, ""),
-            Sight::Floor(floor) => floor,
-        };
-        let lines = floor::lines(&floor);
-        let set = self.expected.map(|expected| &expected.mount);
-        match set.and_then(|set| floor::difference(&floor, set)) {
-            Some(difference) => {
-                let cure = format!("{}:\n{lines}", floor::CURE);
-                self.warning(Topic::Mount, difference, &cure);
-            }
-            None => self.note(Topic::Mount, floor::MOUNTED, &lines),
         }
     }
 

@@ -9,6 +9,7 @@ use crate::doctor::observe::{
     Host, Interface, ObservedPort, ObservedSensor, PositionSender, RootTrouble, Web,
 };
 use crate::doctor::plan::{ExaminedPort, ExpectedSensor, HEALTH, Plan};
+use crate::floor::Seen;
 use crate::input::udp::ReceiveBuffer;
 use crate::judge::losses::Limits;
 use crate::network::Drops;
@@ -20,7 +21,7 @@ use crate::web_interface::Page;
 use sweepd_core::assemble::GpsDoubt;
 use sweepd_core::floor::{Floor, Sight};
 use sweepd_core::pipeline::{Counts, DarkBeam};
-use sweepd_core::segment::Mount;
+use sweepd_core::segment::{self, Mount};
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::layout::flags;
 use sweepd_core::wire::data::ReturnMode;
@@ -82,8 +83,7 @@ fn healthy() -> Observations {
         },
         dual: Some(false),
         max_consumers: 4,
-        min_points: 10,
-        mount: Mount::default(),
+        segment: segment::Config::default(),
         losses: Limits::default(),
     };
     let ports = vec![port(2368, 3770), port(8308, 40)];
@@ -195,7 +195,7 @@ fn of_a_healthy_sensor_there_is_nothing_to_say() {
 
 /// Of a sensor that is heard here, and of one that a daemon hears.
 #[test]
-fn a_mount_that_is_not_the_floors_is_a_warning_with_the_lines_to_set() {
+fn what_is_seen_of_the_floor_is_told_alone_and_beside_a_daemon() {
     let floor = Floor {
         height_m: 0.4,
         pitch_rad: (-10_f32).to_radians(),
@@ -207,15 +207,18 @@ fn a_mount_that_is_not_the_floors_is_a_warning_with_the_lines_to_set() {
         looks: 15,
         doubt: None,
     };
-    let lines = "[sensor.mount]\nheight_m = 0.400\npitch_deg = -10.0\nroll_deg = 0.0\n";
-    let off = ["the mount is set to pitch_deg = 0, roll_deg = 0", lines];
-    let unseen = ["no floor is seen"];
+    let line = "mount = { height_m = 0.400, pitch_deg = -10.0, roll_deg = 0.0 }";
+    let off = ["the mount is set to pitch_deg = 0, roll_deg = 0", line];
+    let unseen = [
+        "no floor is seen: everything is an obstacle",
+        "set height_m",
+    ];
     for (sight, mount, severity, parts) in [
         (
             Sight::Floor(floor),
             floor.mount(),
             Severity::Note,
-            &[lines][..],
+            &[line][..],
         ),
         (
             Sight::Floor(floor),
@@ -223,19 +226,25 @@ fn a_mount_that_is_not_the_floors_is_a_warning_with_the_lines_to_set() {
             Severity::Warning,
             &off,
         ),
-        (Sight::NoFloor, Mount::default(), Severity::Note, &unseen),
+        (Sight::NoFloor, Mount::default(), Severity::Warning, &unseen),
     ] {
+        let config = segment::Config {
+            mount,
+            ..Default::default()
+        };
+        let of_sensor = Seen::new(sight, &config);
         let mut seen = healthy();
-        seen.sensors[0].floor = sight;
-        seen.plan.sensors[0].mount = mount;
+        seen.sensors[0].floor = of_sensor;
         is_only(&seen, severity, Topic::Mount, parts);
-        let floor = crate::floor::json(&sight, &mount);
         let mut seen = healthy();
-        let health = json!({ "status": "ok", "sensors": [{ "name": "roof", "floor": floor }] });
-        seen.daemon = Some(Ok(health));
-        let findings = diagnose(&seen);
-        let told = findings.iter().find(|one| one.topic == Topic::Mount);
-        holds(told.unwrap(), severity, Topic::Mount, parts);
+        let told = of_sensor.finding().unwrap().of("roof");
+        let sensors = json!([{ "name": "roof", "floor": of_sensor.json() }]);
+        seen.daemon = Some(Ok(
+            json!({ "status": "ok", "findings": [told], "sensors": sensors }),
+        ));
+        let mut findings = diagnose(&seen);
+        findings.retain(|one| one.topic == Topic::Mount);
+        assert_eq!(findings, [told]);
     }
 }
 

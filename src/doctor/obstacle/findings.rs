@@ -5,7 +5,6 @@ use crate::doctor::{Finding, Severity, Topic};
 use crate::floor;
 use crate::text::count_of;
 use sweepd_core::assemble::Removal;
-use sweepd_core::floor::Sight;
 use sweepd_core::pipeline::Config;
 use sweepd_core::sweep::Return;
 
@@ -61,45 +60,48 @@ impl Trial {
                 "`sweepd doctor` without --obstacle says why; of a capture, `sweepd inspect`",
             ),
             sweeps => (
-                format!(
-                    "the height of the sensor is not known in any of {}",
-                    count_of(sweeps.into(), "sweep")
-                ),
+                match &self.doubt {
+                    Some(doubt) => doubt.what.clone(),
+                    None => format!(
+                        "the height of the sensor is not known in any of {}",
+                        count_of(sweeps.into(), "sweep")
+                    ),
+                },
                 "set `height_m` in `[sensor.mount]`, and pass the file with --config",
             ),
         };
         error(what, cure.to_owned())
     }
 
-    /// The mount, where it is not that of the floor; an error if it is why the box is no obstacle.
+    /// The mount, where it is not that of the floor or in doubt; an error if it is why the box is no
+    /// obstacle.
     fn mount(&self, is_why: bool) -> Option<Finding> {
         let finder = self.floor.as_ref()?;
-        let Sight::Floor(seen) = finder.sight() else {
-            let note = floor::NOT_SEEN.to_owned();
-            return Some(Finding::new(
-                Severity::Note,
-                Topic::Mount,
-                note,
-                String::new(),
-            ));
+        let seen = floor::Seen {
+            sight: finder.sight(),
+            set: Some(*finder.mount()),
+            // The header has the doubt.
+            is_estimated: false,
         };
-        let difference = floor::difference(&seen, finder.mount());
-        let cure = format!("{}:\n{}", floor::CURE, floor::lines(&seen));
-        if !is_why {
-            return Some(Finding::new(
-                Severity::Warning,
-                Topic::Mount,
-                difference?,
-                cure,
-            ));
+        let told = self.doubt.clone().or_else(|| seen.finding());
+        let (trouble, mounted): (Option<Finding>, _) = match told {
+            Some(told) if told.what == floor::MOUNTED => (None, Some(told)),
+            told => (told, None),
+        };
+        if !is_why || seen.sight.height_m().is_none() {
+            return trouble;
         }
         let (misplaced, sweeps) = (self.misplaced, self.sweeps);
-        let difference = difference
-            .map(|said| format!(": {said}"))
-            .unwrap_or_default();
-        let what = format!(
-            "in {misplaced} of {sweeps} sweeps it is an obstacle over the floor that is seen, and none over that of the mount{difference}"
+        let mut what = format!(
+            "in {misplaced} of {sweeps} sweeps it is an obstacle over the floor that is seen, and none over that of the mount"
         );
+        let mut cure = floor::CURE.to_owned();
+        if let Some(trouble) = trouble {
+            what += &format!(": {}", trouble.what);
+            cure = trouble.cure;
+        } else if let Some(mounted) = mounted {
+            cure += &format!(": {}", mounted.cure);
+        }
         Some(Finding::new(Severity::Error, Topic::Mount, what, cure))
     }
 

@@ -105,7 +105,7 @@ pub const SETTINGS: &[Setting] = &[
         doc: "Height of the sensor above the ground, metres",
         unit: Unit::Metres,
         range: 0.01..=200.0,
-        absent: "estimated from the lowest returns",
+        absent: "estimated from the floor that is seen",
         field: |config| Field::Optional(&mut config.mount.height_m),
     },
     Setting {

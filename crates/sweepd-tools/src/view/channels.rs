@@ -15,7 +15,7 @@ use sweepd::floor;
 use sweepd_core::buffers::HeapBuffer;
 use sweepd_core::buffers::{Buffers, HeapBuffers};
 use sweepd_core::floor::FloorFinder;
-use sweepd_core::segment::{self, Mount};
+use sweepd_core::segment;
 use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::{LayoutError, flags};
 use tokio::sync::watch;
@@ -55,8 +55,8 @@ pub(super) struct Description {
     /// this view has not.
     pub told: bool,
     pub masked: bool,
-    /// What the sweeps show of the floor: the lines of a mount, and what is wrong with the one that is
-    /// set, each `null` where there is none.
+    /// What the sweeps show of the floor: the lines of a mount, and what is in doubt or wrong with the
+    /// one that is set, each `null` where there is none.
     pub floor: Value,
     /// What the sweeps are segmented with, as far as it is known.
     #[serde(skip)]
@@ -216,12 +216,7 @@ impl Publisher {
     /// Looks for the floor in a sweep, below a sensor that is mounted as its header says.
     fn look_at_floor(&mut self, sweep: &SweepRef<'_>) {
         let header = sweep.header;
-        let is_set = header.height_m > 0.0 && !header.has(flags::HEIGHT_ESTIMATED);
-        let set = Mount {
-            height_m: is_set.then_some(header.height_m),
-            pitch_rad: header.pitch_rad,
-            roll_rad: header.roll_rad,
-        };
+        let set = floor::mount_of(header);
         if *self.floor.mount() != set {
             self.floor = FloorFinder::new(&segment::Config {
                 mount: set,
@@ -229,8 +224,12 @@ impl Publisher {
             });
         }
         if self.floor.look(sweep) {
-            let floor = floor::json(&self.floor.sight(), &set);
-            self.describe(|now| now.floor = floor);
+            let seen = floor::Seen {
+                sight: self.floor.sight(),
+                set: Some(set),
+                is_estimated: header.has(flags::HEIGHT_ESTIMATED | flags::HEIGHT_IN_DOUBT),
+            };
+            self.describe(|now| now.floor = seen.json());
         }
     }
 

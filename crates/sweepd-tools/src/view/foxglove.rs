@@ -16,6 +16,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 use sweepd::VERSION;
 use sweepd::export::mcap::{self, MessageForm, SensorNames};
+use sweepd::floor;
 use sweepd_client::host::realtime_ns;
 use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::eye::{eye_faults, eye_sentence};
@@ -350,7 +351,9 @@ impl Viewer {
             let header = sweep.header;
             status.name = diagnostics::name_of(header.sensor_name());
             (status.hardware_id, status.values) = diagnostics::of_header(header);
-            if let (true, Some(sentence)) = (state.ok, eye_sentence(header.flags)) {
+            let unseen = eye_sentence(header.flags);
+            let doubt = floor::of_header(header).map(|finding| finding.to_string());
+            if let (true, Some(sentence)) = (state.ok, unseen.or(doubt)) {
                 let is_fault = eye_faults(header.flags).any(|fault| fault.is_fault);
                 status.level = if is_fault { Level::Error } else { Level::Warn };
                 status.message = sentence;

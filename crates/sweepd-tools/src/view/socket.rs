@@ -13,6 +13,7 @@ use hyper::upgrade::Upgraded;
 use hyper_util::rt::TokioIo;
 use serde::Deserialize;
 use serde_json::{Value, json};
+use sweepd::floor;
 use sweepd_core::segment::Config;
 use sweepd_core::sweep::SweepRef;
 use tokio::task::{JoinHandle, spawn_blocking};
@@ -268,6 +269,7 @@ impl Page {
             "sequence": sweep.header.sequence,
             "sensor": frame.sensor,
             "missed": self.missed,
+            "doubt": floor::of_header(sweep.header).map(|finding| finding.to_string()),
             "tuned": is_tuned,
             // Of a sweep as it is: its tuned copy follows, or why there is none.
             "paired": self.config.is_some(),

@@ -3,9 +3,14 @@
 use std::time::Duration;
 
 use serde_json::{Value, json};
+use sweepd::input::PcapWriter;
+use sweepd::input::write::Addressed;
 use sweepd::pipeline::Config;
+use sweepd::sensor::Model;
 use sweepd::sweep::SweepRef;
+use sweepd::wire::data::ReturnMode;
 use sweepd_lab::testkit::TempDomain;
+use sweepd_lab::testkit::stream::Spin;
 use tokio_tungstenite::tungstenite::Message;
 
 use crate::captures::{fixture, sweeps};
@@ -94,6 +99,35 @@ fn a_viewer_gets_what_it_subscribes_to_and_nothing_else() {
         let text = String::from_utf8_lossy(&bytes).into_owned();
         assert!(time > time_ns && text.contains("paused"), "{text}");
     }
+}
+
+/// Returns that lie anywhere: no floor is among them. Page and viewer have the words of `HeightDoubt`.
+#[test]
+fn a_floor_that_is_not_seen_is_told_to_page_and_viewer() {
+    let own = TempDomain::new("sweepd-view-").unwrap();
+    let path = own.path("noise.pcap");
+    let mut file = PcapWriter::new(std::fs::File::create(&path).unwrap()).unwrap();
+    let here: std::net::SocketAddrV4 = "127.0.0.1:2368".parse().unwrap();
+    for sent in Spin::new(Model::Vlp16, ReturnMode::Strongest, 600.0).packets(1.0) {
+        let datagram = Addressed {
+            arrival_ns: sent.arrival_ns,
+            source: here,
+            destination: here,
+            payload: sent.packet.emit(),
+        };
+        file.write(&datagram).unwrap();
+    }
+    drop(file);
+    let words = "no floor is seen: everything is an obstacle: set height_m";
+    let view = View::start(&[path.to_str().unwrap()]);
+    let mut page = view.page();
+    page.pause();
+    assert_eq!(page.seek(1).about["doubt"], words);
+    let mut viewer = view.viewer();
+    advertised(&mut viewer, "points");
+    subscribe(&mut viewer, &[(70, DIAGNOSTICS)]);
+    let (_, _, bytes) = message(&mut viewer, Duration::from_secs(5)).unwrap();
+    assert!(String::from_utf8_lossy(&bytes).contains(words));
 }
 
 #[test]

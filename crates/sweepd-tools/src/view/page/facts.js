@@ -1,8 +1,8 @@
 // Words about what is shown: the facts of a sweep and of the sensor, and what the selection is.
 
 import {
-  BLANKED, BLIND, CIRCULAR, CHOICE_LAST, CHOICE_STRONGEST, COVERED, DARK_BELOW, FADED, FROZEN, HEIGHT_ESTIMATED, KIND_LAST,
-  LABEL_GROUND, LABEL_NONE, LOSS_ESTIMATED, MODELS, MODE_DUAL, MODE_LAST, PARTIAL, RATE_UNSTABLE, REVERSED, STOPPED, TIME_GPS,
+  BLANKED, BLIND, CIRCULAR, CHOICE_LAST, CHOICE_STRONGEST, COVERED, DARK_BELOW, FADED, FROZEN, HEIGHT_ESTIMATED, HEIGHT_IN_DOUBT,
+  KIND_LAST, LABEL_GROUND, LABEL_NONE, LOSS_ESTIMATED, MODELS, MODE_DUAL, MODE_LAST, PARTIAL, RATE_UNSTABLE, REVERSED, STOPPED, TIME_GPS,
   isWide, moved, movedSegment,
 } from "./sweep.js";
 import * as palette from "./palette.js";
@@ -51,14 +51,15 @@ export class Facts {
   }
 
   /** The facts of a sweep, of its stages, and those that the server counts. */
-  show(sweep, missed, server, latency) {
+  show(sweep, { missed = 0, doubt }, server, latency) {
     const { header } = sweep;
     const share = (100 * header.ground) / Math.max(1, header.returns);
     const choice = { [CHOICE_STRONGEST]: "strongest", [CHOICE_LAST]: "last" }[header.return_choice] ?? "nearest";
     const mode = header.return_mode === MODE_DUAL ? `two, ${choice} segmented` : header.return_mode === MODE_LAST ? "last" : "strongest";
     const degrees = (angle) => `${signed(angle * DEGREES, 1)}°`;
-    const words = FLAGS.filter(([flag]) => sweep.has(flag)).map(([, text]) => text);
-    const height = header.height_m > 0 ? `${header.height_m.toFixed(2)} m${sweep.has(HEIGHT_ESTIMATED) ? ", estimated" : ""}` : "unknown";
+    const words = FLAGS.filter(([flag]) => sweep.has(flag)).map(([, text]) => text).concat(doubt ?? []);
+    const basis = sweep.has(HEIGHT_ESTIMATED) ? `, estimated${sweep.has(HEIGHT_IN_DOUBT) ? ", in doubt" : ""}` : "";
+    const height = header.height_m > 0 ? `${header.height_m.toFixed(2)} m${basis}` : "unknown";
     const micros = (value) => (value >= 1000 ? `${(value / 1000).toFixed(1)} ms` : `${Math.round(value)} µs`);
     const taken = { decode: header.decode_ns / 1e3, ground: header.ground_ns / 1e3, label: header.label_ns / 1e3 };
     const isTimed = Object.values(taken).some((value) => value > 0);

@@ -320,7 +320,7 @@ class Page {
     this.plots.draw();
     find("now").textContent = this.shown === null ? "" : this.words();
     if (this.shown === null) return;
-    this.facts.show(this.shown, this.notice?.missed ?? 0, this.state.facts ?? {}, this.plots.newest("latency") ?? 0);
+    this.facts.show(this.shown, this.notice ?? {}, this.state.facts ?? {}, this.plots.newest("latency") ?? 0);
   }
 
   words() {

@@ -9,11 +9,11 @@ use sweepd::cli::CliError;
 use sweepd::cli::options::SegmentOptions;
 use sweepd::daemon::record::client::segment_settings;
 use sweepd::daemon::record::socket_path;
+use sweepd::floor;
 use sweepd_client::client::{Client, Domain, Next};
 use sweepd_client::host::realtime_ns;
 use sweepd_core::buffers::HeapBuffers;
 use sweepd_core::segment;
-use sweepd_core::sweep::layout::flags;
 use sweepd_core::sweep::{Header, SweepRef};
 
 /// Interval of the look at commands and at the list of sensors.
@@ -198,7 +198,10 @@ impl Live {
         let is_masked = told.as_ref().is_some_and(|told| told.masked);
         let told = told.and_then(|told| tuning::told(told).ok());
         let is_told = told.is_some();
-        let configured = told.unwrap_or_else(|| mount_of(header));
+        let configured = told.unwrap_or_else(|| segment::Config {
+            mount: floor::mount_of(header),
+            ..Default::default()
+        });
         let mut segment = configured.clone();
         // They were checked; together with the daemon's they may be impossible, and then do not hold.
         if self.options.apply_to_segmenter(&mut segment).is_err() {
@@ -299,16 +302,4 @@ impl Live {
             Some(_) => ("live".to_owned(), true),
         }
     }
-}
-
-/// The defaults, with the mount that a header has.
-fn mount_of(header: &Header) -> segment::Config {
-    let mut config = segment::Config::default();
-    let mount = &mut config.mount;
-    mount.pitch_rad = header.pitch_rad;
-    mount.roll_rad = header.roll_rad;
-    if header.height_m > 0.0 && !header.has(flags::HEIGHT_ESTIMATED) {
-        mount.height_m = Some(header.height_m);
-    }
-    config
 }
