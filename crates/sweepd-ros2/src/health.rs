@@ -13,6 +13,7 @@ use sweepd_client::host::realtime_ns;
 use sweepd_messages::diagnostics::{self, DAEMON, Level, Status};
 use sweepd_ros2::{Publisher, Subscriber};
 use sweepd_sweep::eye::{eye_faults, eye_sentence};
+use sweepd_sweep::height::{HEIGHT_CURE, HeightDoubt};
 
 use crate::bridge::{Bridge, PATIENCE, Tally, Topic, USUAL_NOT_DESKEWED};
 
@@ -194,6 +195,12 @@ fn judge(tally: &Tally, before: &Tally, rate: f64, said: Option<&Value>) -> (Lev
         false => Level::Warn,
     };
     let unseen = eye_sentence(bits).map(|sentence| (level, sentence));
+    let newest = tally.newest.as_ref().map(|(header, _)| header);
+    let doubt = newest.and_then(|header| Some((HeightDoubt::of(header)?, header.height_m)));
+    let doubt = doubt.map(|(doubt, height_m)| {
+        let message = format!("{}: {HEIGHT_CURE}", doubt.finding(height_m));
+        (Level::Warn, message)
+    });
     match &tally.newest {
         None => return (Level::Stale, "no sweep yet".to_owned()),
         Some((_, at)) if at.elapsed() >= PATIENCE => {
@@ -205,7 +212,7 @@ fn judge(tally: &Tally, before: &Tally, rate: f64, said: Option<&Value>) -> (Lev
     if reason.is_some() {
         return (Level::Warn, words);
     }
-    if let Some((level, sentence)) = unseen {
+    if let Some((level, sentence)) = unseen.or(doubt) {
         return (level, sentence);
     }
     let left_out = tally.incomplete_in_a_row;
@@ -478,6 +485,21 @@ mod tests {
             let judged = judge(tally, &none, 10.0, said);
             assert_eq!(judged, (level, message.to_owned()));
         }
+    }
+
+    #[test]
+    fn a_height_in_doubt_is_a_warning_by_the_header_where_no_daemon_is_asked() {
+        let mut header = header();
+        header.height_m = 1.2;
+        header.height_doubt = HeightDoubt::Small { far_dm: 9 }.word();
+        let tally = Tally {
+            newest: Some((header, Instant::now())),
+            ..Tally::default()
+        };
+        let message = "the height is a guess: 1.20 m; it ends 0.9 m from the sensor: it may be the robot's deck, or a table: \
+                       set height_m";
+        let judged = judge(&tally, &Tally::default(), 10.0, None);
+        assert_eq!(judged, (Level::Warn, message.to_owned()));
     }
 
     #[test]
