@@ -202,8 +202,9 @@ table! {
 table! {
     ///
     /// How it sits on the robot: from the robot's origin, x right, y forward, z up; roll right side down (180 is head
-    /// down), pitch nose up, yaw counter-clockwise from above; height above the ground, by default estimated. climb_m is the height of
-    /// a step that the wheels climb, 0.02 to 0.2: a higher one that rows strike is an object, if it is over 5 cm high.
+    /// down), pitch nose up, yaw counter-clockwise from above; height above the ground, by default that of the floor that is
+    /// seen. climb_m is the height of a step that the wheels climb, 0.02 to 0.2: a higher one that rows strike is an object, if it is
+    /// over 5 cm high.
     MOUNT: SensorConfig, "mount" "[sensor.mount]"
 
     x_m = 0, Number(POSITION_M, "metres", metres) [pipeline.position_m[0]], Reload<"x_m, y_m, z_m" [pipeline.position_m]> position;
