@@ -13,11 +13,13 @@
 //! greater. docs/rules.md, "The height", has each step.
 //!
 //! A [`FloorFinder`] does so for some sweeps of a run, and holds what they show against each other.
+//! [`sides`] says which side of the sensor is up, where nobody told.
 //! Planes are drawn in the same order each time: the same sweeps give the same floor.
 
 mod grid;
 mod pairs;
 mod plane;
+pub mod sides;
 mod surfaces;
 mod verdict;
 

@@ -110,6 +110,62 @@ impl Inertial {
     }
 }
 
+/// Which side of a sensor is up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Side {
+    /// Its top.
+    Upright,
+    /// Its foot: it hangs.
+    HeadDown,
+}
+
+impl Side {
+    /// Its name for programs.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Upright => "upright",
+            Self::HeadDown => "head_down",
+        }
+    }
+}
+
+/// Which side of an HDL-32E its accelerometers say is up: the first axes of the first two chips point
+/// to the sensor's top, as real captures have them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Gravity {
+    packets: u64,
+    /// Packets in which each chip feels more than half a g from the foot, and from the top.
+    upright: [u64; 2],
+    head_down: [u64; 2],
+}
+
+impl Gravity {
+    /// Adds the chips of a packet.
+    pub fn add(&mut self, chips: &[Inertial; 3]) {
+        self.packets += 1;
+        for (chip, inertial) in chips[..2].iter().enumerate() {
+            let [up_g, _] = inertial.accel_g();
+            self.upright[chip] += u64::from(up_g >= LEAST_G);
+            self.head_down[chip] += u64::from(up_g <= -LEAST_G);
+        }
+    }
+
+    /// The side by the medians of both chips; `None` where one is less than half a g, or they
+    /// contradict each other: the sensor lies on its side, or there are no chips.
+    pub fn side(&self) -> Option<Side> {
+        // The median is beyond a bound if most are.
+        let are_most = |counts: [u64; 2]| counts.iter().all(|&count| 2 * count > self.packets);
+        match (are_most(self.upright), are_most(self.head_down)) {
+            (true, _) => Some(Side::Upright),
+            (_, true) => Some(Side::HeadDown),
+            _ => None,
+        }
+    }
+}
+
+/// Least acceleration that says which side is up, g.
+const LEAST_G: f64 = 0.5;
+
 /// Board temperatures and the state of the receiver's analogue converter, where the firmware
 /// reports them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -380,6 +436,36 @@ mod tests {
         // Spare bits of a chip's words are not a report (found by fuzzing).
         bytes[0x00F] = 0xF0;
         assert_eq!(Position::parse(&bytes).unwrap().inertial, None);
+    }
+
+    /// By hand: 1 g are 819 counts, half a g 409.5.
+    #[test]
+    fn most_packets_of_both_chips_say_which_side_is_up() {
+        let side = |packets: &[[i16; 2]]| {
+            let mut gravity = Gravity::default();
+            for up in packets {
+                let chip = |accel_x| Inertial {
+                    accel_x,
+                    // The other axes do not count.
+                    accel_y: -819,
+                    ..NOTHING
+                };
+                gravity.add(&[chip(up[0]), chip(up[1]), chip(-819)]);
+            }
+            gravity.side()
+        };
+        assert_eq!(side(&[]), None);
+        assert_eq!(side(&[[786, 780]]), Some(Side::Upright));
+        assert_eq!(side(&[[-819, -760]]), Some(Side::HeadDown));
+        for unclear in [[0, 0], [409, 819], [819, 0], [819, -819], [-819, -409]] {
+            assert_eq!(side(&[unclear]), None, "{unclear:?}");
+        }
+        // A blow is no turn over.
+        assert_eq!(
+            side(&[[800, 800], [-2048, -2048], [800, 800]]),
+            Some(Side::Upright)
+        );
+        assert_eq!(side(&[[800, 800], [-800, -800]]), None);
     }
 
     fn inertial() -> impl Strategy<Value = Inertial> {
