@@ -12,6 +12,8 @@ mod draw;
 mod floor;
 mod scene;
 mod sensor;
+#[cfg(test)]
+mod sides;
 mod spin;
 mod things;
 mod view;
