@@ -15,6 +15,7 @@ use sweepd::input::{Capture, CaptureReader, LinkType};
 use sweepd::judge::losses::Limits;
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::wire::Packet;
+use sweepd::wire::position::{Gravity, Position, Side};
 
 /// File, data packets, position packets, sender: from the README of the captures.
 const CAPTURES: [(&str, u64, u64, &str); 11] = [
@@ -73,6 +74,35 @@ fn packets_are_counted_as_others_count_them() {
             names.iter().all(|heard| heard.ends_with(sender)),
             "{name}: {names:?}"
         );
+    }
+}
+
+/// An HDL-32E on the roof of a car: it stands upright, and the others send no accelerations.
+#[test]
+#[cfg_attr(without_captures, ignore = "no captures")]
+fn the_first_two_chips_of_a_real_sensor_feel_gravity() {
+    for (name, ..) in CAPTURES {
+        let path = common::data_dir().join(format!("pcap/{name}.pcap"));
+        let mut capture = Capture::open(&path).unwrap();
+        let mut gravity = Gravity::default();
+        let mut accelerations_g = [const { Vec::new() }; 2];
+        while let Some(datagram) = capture.next_datagram().unwrap() {
+            if let Ok(position) = Position::parse(datagram.payload)
+                && let Some(chips) = position.inertial
+            {
+                gravity.add(&chips);
+                for (all, chip) in accelerations_g.iter_mut().zip(&chips) {
+                    all.push(chip.accel_g()[0]);
+                }
+            }
+        }
+        let is_there = name == "hdl32e_veloview-monterey-a";
+        assert_eq!(gravity.side(), is_there.then_some(Side::Upright), "{name}");
+        for all in accelerations_g.iter_mut().filter(|all| !all.is_empty()) {
+            all.sort_by(f64::total_cmp);
+            let median_g = all[all.len() / 2];
+            assert!((0.93..=1.0).contains(&median_g), "{name}: {median_g}");
+        }
     }
 }
 

@@ -112,7 +112,7 @@ pub fn position_packet(
         stamp_us: config.stamp_us(elapsed_ns),
         pps,
         nmea: sentence.as_deref().map(str::trim_end),
-        inertial: inertial.then(|| [chip(rng, 0), chip(rng, 819), chip(rng, 819)]),
+        inertial: inertial.then(|| chips(config, elapsed_ns, rng)),
         board: (!inertial).then_some(BOARD),
         thermal: (!inertial).then_some(Thermal {
             status: 0,
@@ -123,15 +123,24 @@ pub fn position_packet(
     .emit()
 }
 
-/// A chip at rest: noise about zero, 35 degrees, and on its second axis this many counts of gravity
-/// (819 = 1 g).
-fn chip(rng: &mut Rng, gravity: i16) -> Inertial {
-    Inertial {
-        gyro: rng.i16(-3..=3),
-        temperature: 69,
-        accel_x: rng.i16(-2..=2),
-        accel_y: gravity + rng.i16(-2..=2),
-    }
+/// Counts of an accelerometer for 1 g.
+const G_COUNTS: f64 = 819.0;
+
+/// The chips of a sensor that turns and is not driven faster or slower: noise about zero, 35 degrees,
+/// and what holds it against gravity. Real captures say that the first axes of the first two are the
+/// sensor's z, and that the second ones of the last two agree; of the two axes across, the manual says
+/// too little to tell which is ahead.
+fn chips(config: &EmitterConfig, elapsed_ns: i64, rng: &mut Rng) -> [Inertial; 3] {
+    let [right, ahead, up] = config.pose_at(elapsed_ns as f64 * 1e-9).up().into();
+    [[up, ahead], [up, right], [ahead, right]].map(|axes: [f64; 2]| {
+        let [accel_x, accel_y] = axes.map(|g| (g * G_COUNTS).round() as i16);
+        Inertial {
+            gyro: rng.i16(-3..=3),
+            temperature: 69,
+            accel_x: accel_x + rng.i16(-2..=2),
+            accel_y: accel_y + rng.i16(-2..=2),
+        }
+    })
 }
 
 /// A warm sensor that calibrated its converter at power-up.
@@ -148,6 +157,8 @@ const BOARD: Board = Board {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simulate::head::Pose;
+    use crate::simulate::shape::Vec3;
     use sweepd_core::wire::data::ReturnMode;
 
     /// 2026-05-04 09:59:59.5 UTC (`date -u -d 2026-05-04T09:59:59 +%s`).
@@ -209,8 +220,32 @@ mod tests {
             (position.pps, position.nmea, position.board),
             (Pps::Absent, None, None)
         );
-        let gravity = position.inertial.unwrap()[1].accel_g()[1];
-        assert!((gravity - 1.0).abs() < 0.01, "{gravity}");
+    }
+
+    /// By hand: nose up by 30 degrees, a half of gravity pulls back, and head down, z feels -1 g.
+    #[test]
+    fn the_chips_of_an_hdl32e_feel_how_it_is_mounted() {
+        let mut config = sensor(Model::Hdl32e, Clock::Free { hour_ns: 0 });
+        for (pitch_deg, roll_deg, [right, ahead, up]) in [
+            (0.0_f64, 0.0_f64, [0.0, 0.0, 1.0]),
+            (30.0, 0.0, [0.0, 0.5, 0.866]),
+            (0.0, 30.0, [-0.5, 0.0, 0.866]),
+            (0.0, 180.0, [0.0, 0.0, -1.0]),
+        ] {
+            config.pose =
+                Pose::upright(Vec3::zeros()).tilted(pitch_deg.to_radians(), roll_deg.to_radians());
+            config.pose.heading_rad = 1.0;
+            let bytes = position_packet(&config, 0, &mut Rng::with_seed(0));
+            let chips = Position::parse(&bytes).unwrap().inertial.unwrap();
+            for (chip, expected) in chips.iter().zip([[up, ahead], [up, right], [ahead, right]]) {
+                for (g, expected) in chip.accel_g().into_iter().zip(expected) {
+                    assert!(
+                        (g - expected).abs() < 0.005,
+                        "{pitch_deg} {roll_deg}: {chips:?}"
+                    );
+                }
+            }
+        }
     }
 
     #[test]

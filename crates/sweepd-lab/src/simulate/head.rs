@@ -38,6 +38,12 @@ impl Pose {
         }
     }
 
+    /// The plumb line, upwards, in the sensor's frame.
+    pub fn up(&self) -> Vec3 {
+        self.tilt
+            .map_or(Vec3::z(), |tilt| tilt.inverse() * Vec3::z())
+    }
+
     /// A direction in the sensor's frame as one of the scene.
     pub fn turned(&self, way: Vec3) -> Vec3 {
         let way = self.tilt.map_or(way, |tilt| tilt * way);
