@@ -47,7 +47,7 @@ impl Seen {
         let note = |what, cure| Some(Finding::new(Severity::Note, Topic::Mount, what, cure));
         match (self.sight, self.sight.doubt()) {
             (Sight::Floor(floor), None) => {
-                let line = has_lines(&floor).then(|| line(&floor));
+                let line = line(&floor);
                 match self.set.and_then(|set| difference(&floor, &set)) {
                     Some(what) => {
                         let cure = line.map_or(CURE.to_owned(), |line| format!("{CURE}: {line}"));
@@ -94,7 +94,7 @@ impl Seen {
             "height_m": height_m,
             "pitch_deg": pitch_deg,
             "roll_deg": roll_deg,
-            "lines": floor.filter(|floor| has_lines(floor)).map(lines),
+            "lines": floor.and_then(lines),
             "trouble": trouble.filter(|what| what != MOUNTED),
             "doubt": self.doubt(),
         })
@@ -153,27 +153,24 @@ pub fn height(sight: &Sight, set: &Mount) -> String {
     }
 }
 
-/// Whether the floor is so sure that its mount may be copied.
-pub fn has_lines(floor: &Floor) -> bool {
-    floor.doubt.is_none() && floor.height_spread_m < SPREAD_M
-}
-
-/// The lines of the daemon's configuration that give this mount, and the spread as a comment.
-pub fn lines(floor: &Floor) -> String {
-    let keys = keys(floor).join("\n");
-    format!("[sensor.mount]\n{keys}\n# {}\n", spread(floor))
+/// The lines of the daemon's configuration that give this mount, and how sure it is as a comment;
+/// `None` where sweeps differ so much that it is not to be copied.
+pub fn lines(floor: &Floor) -> Option<String> {
+    let keys = keys(floor)?.join("\n");
+    Some(format!("[sensor.mount]\n{keys}\n# {}\n", certainty(floor)))
 }
 
 /// The same in one line.
-pub fn line(floor: &Floor) -> String {
-    format!(
-        "mount = {{ {} }}  # {}",
-        keys(floor).join(", "),
-        spread(floor)
-    )
+fn line(floor: &Floor) -> Option<String> {
+    let keys = keys(floor)?.join(", ");
+    Some(format!("mount = {{ {keys} }}  # {}", certainty(floor)))
 }
 
-fn keys(floor: &Floor) -> [String; 3] {
+fn keys(floor: &Floor) -> Option<[String; 3]> {
+    (floor.height_spread_m < SPREAD_M).then(|| values(floor))
+}
+
+fn values(floor: &Floor) -> [String; 3] {
     let [height_m, pitch_deg, roll_deg] = numbers(floor);
     [
         format!("height_m = {height_m:.3}"),
@@ -202,15 +199,20 @@ fn degrees(angle_rad: f32) -> f64 {
 }
 
 /// How sure it is.
-fn spread(floor: &Floor) -> String {
+fn certainty(floor: &Floor) -> String {
+    let doubt = match floor.doubt {
+        Some(doubt) => format!("in doubt: {doubt}; "),
+        None => String::new(),
+    };
     let seen = match (floor.sweeps, floor.looks) {
-        (1, 1) => return "by one sweep".to_owned(),
+        (0, _) => return format!("{doubt}by less than a turn"),
+        (1, 1) => return format!("{doubt}by one sweep"),
         (sweeps, looks) => format!("in {sweeps} of {looks} sweeps"),
     };
     let [pitch_deg, roll_deg] =
         [floor.pitch_spread_rad, floor.roll_spread_rad].map(f32::to_degrees);
     format!(
-        "spread {:.3} m, {pitch_deg:.2} and {roll_deg:.2} degrees, {seen}",
+        "{doubt}spread {:.3} m, {pitch_deg:.2} and {roll_deg:.2} degrees, {seen}",
         floor.height_spread_m
     )
 }
@@ -239,7 +241,7 @@ pub fn difference(floor: &Floor, set: &Mount) -> Option<String> {
     Some(format!(
         "the mount is set to {}, and the floor says {}",
         said.join(", "),
-        keys(floor).join(", ")
+        values(floor).join(", ")
     ))
 }
 
@@ -269,15 +271,15 @@ mod tests {
     fn the_lines_are_those_of_a_configuration() {
         let expected = "[sensor.mount]\nheight_m = 0.412\npitch_deg = -10.0\nroll_deg = 0.0\n\
                         # spread 0.002 m, 0.05 and 0.04 degrees, in 14 of 15 sweeps\n";
-        assert_eq!(lines(&floor()), expected);
+        assert_eq!(lines(&floor()).unwrap(), expected);
         let one = Floor {
             sweeps: 1,
             looks: 1,
             ..floor()
         };
-        assert!(lines(&one).ends_with("\n# by one sweep\n"));
+        assert!(lines(&one).unwrap().ends_with("\n# by one sweep\n"));
         let sensor = "[[sensor]]\nname = \"roof\"\naddress = \"192.168.1.201\"\n";
-        for mount in [expected, &line(&floor())] {
+        for mount in [expected, &line(&floor()).unwrap()] {
             let text = format!("{sensor}{mount}\n");
             let config = daemon::Config::parse(Path::new("sweepd.toml"), &text).unwrap();
             let mount = config.sensors[0].pipeline.segment.mount;
@@ -310,28 +312,30 @@ mod tests {
     fn a_mount_that_is_off_is_told_beside_the_floor() {
         let is_mounted = seen(None, floor().mount());
         let (what, is_warning) = told(&is_mounted);
-        assert_eq!(what, format!("{MOUNTED}: {}", line(&floor())));
+        assert_eq!(what, format!("{MOUNTED}: {}", line(&floor()).unwrap()));
         assert!(!is_warning && is_mounted.json()["trouble"].is_null());
         let off = seen(None, Mount::default());
         let difference = "the mount is set to pitch_deg = 0, roll_deg = 0, and the floor says height_m = 0.412, \
                           pitch_deg = -10.0, roll_deg = 0.0";
-        let expected = format!("{difference}: {CURE}: {}", line(&floor()));
+        let expected = format!("{difference}: {CURE}: {}", line(&floor()).unwrap());
         assert_eq!(told(&off), (expected, true));
         let json = off.json();
         assert!(json["trouble"] == difference && json["doubt"].is_null());
-        assert_eq!(json["lines"], lines(&floor()));
+        assert_eq!(json["lines"], lines(&floor()).unwrap());
         // Nobody has said what it should be.
         let unsaid = Seen { set: None, ..off };
         assert_eq!(told(&unsaid), told(&is_mounted));
     }
 
     #[test]
-    fn a_height_in_doubt_is_a_warning_where_it_is_taken_and_no_lines_are_given() {
+    fn a_height_in_doubt_is_a_warning_where_it_is_taken_and_beside_the_lines() {
         let doubted = seen(Some(FEW), Mount::default());
         let words = "the height is a guess: 0.41 m; few returns show it: 13 of 512 columns, 2 of 16 directions";
         assert_eq!(told(&doubted), (format!("{words}: set height_m"), true));
         let json = doubted.json();
-        assert!(json["doubt"] == words && json["trouble"] == words && json["lines"].is_null());
+        assert!(json["doubt"] == words && json["trouble"] == words);
+        let lines = json["lines"].as_str().unwrap();
+        assert!(lines.contains(&format!("\n# in doubt: {FEW}; spread 0.002 m")));
         assert_eq!(json["height_m"], 0.412);
         let set = Mount {
             height_m: Some(2.0),
@@ -340,7 +344,7 @@ mod tests {
         let unchecked = seen(Some(FEW), set);
         let (what, is_warning) = told(&unchecked);
         assert!(what.ends_with(&FEW.to_string()) && !what.contains("set height_m") && !is_warning);
-        assert!(unchecked.json()["doubt"].is_null() && unchecked.json()["lines"].is_null());
+        assert!(unchecked.json()["doubt"].is_null());
         for seen in [doubted, unchecked] {
             let none = Seen {
                 sight: Sight::NoFloor,

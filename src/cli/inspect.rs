@@ -2,6 +2,7 @@
 //! and the floor.
 
 mod flows;
+mod mounted;
 mod positions;
 mod report;
 mod status;
@@ -12,25 +13,26 @@ use std::fmt::Write as _;
 use std::net::IpAddr;
 use std::path::PathBuf;
 
-use serde_json::Value;
-
 use flows::Flows;
+use mounted::Mounted;
 use positions::Positions;
-use report::{CaptureReport, Report, SensorReport, per_s};
+use report::{CaptureReport, Report, SenderReport, SensorReport, per_s};
 use turns::Turns;
 
-use super::CliError;
-use super::options::MountOptions;
+use super::options::{ConfigOptions, MountOptions};
 use super::output::rounded;
+use super::sections::{Section, Sections};
+use super::speed::Speed;
 use super::stream::{print, print_json};
+use super::{CliError, complain};
 use crate::admission::{DiscoveredSensors, Refused, Route, Sender};
 use crate::beams;
-use crate::cure::{Dialect, explain_model};
+use crate::cure::{Dialect, explain, explain_model};
 use crate::input::{Capture, LinkType, Placed};
-use crate::streams::{Stream, Streams};
+use crate::streams::{SteadyTime, Stream, Streams};
 use crate::text::{count_of, grouped, rate, row, utc_text};
+use sweepd_core::assemble::Sector;
 use sweepd_core::assemble::{PacketGap, PacketOrder, Rejection};
-use sweepd_core::assemble::{Sector, TURN};
 use sweepd_core::segment::Mount;
 use sweepd_core::sensor::Model;
 use sweepd_core::sensor::detect::{DetectError, Detection, Detector};
@@ -43,18 +45,21 @@ use sweepd_core::wire::{Content, DataPacket, Packet};
 #[command(after_help = "\
 Example:
   sweepd inspect pcap_fixtures/street_vlp16_losses.pcap
-  sweepd inspect drive.pcap --pitch -10 --height 0.4")]
+  sweepd inspect drive.pcap --pitch -10 --height 0.4
+  sweepd inspect drive.pcap --config sweepd.toml --sensor roof")]
 pub struct Args {
     /// pcap or pcapng, plain or compressed with gzip, zstd, bzip2 or lz4; a ROS bag with VelodyneScan
     /// messages (.mcap, .db3, .bag, or the folder of a ROS 2 bag); or bare packets; - is standard input
     #[arg(value_name = "CAPTURE")]
     pub capture: PathBuf,
-    /// How the sensors are said to be mounted: the floor is held against it.
-    #[command(flatten)]
-    mount: MountOptions,
     /// One JSON object on standard output
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    config: ConfigOptions,
+    /// How the sensors are said to be mounted: the floor is held against it.
+    #[command(flatten)]
+    mount: MountOptions,
 }
 
 /// Runs the command.
@@ -62,9 +67,9 @@ pub struct Args {
 /// # Errors
 /// [`CliError`]: the capture cannot be read, or standard output not written.
 pub fn run(args: &Args) -> Result<(), CliError> {
+    let sections = Sections::mounted(&args.config, &args.mount)?;
     let mut capture = Capture::open(&args.capture)?;
-    let mut streams = Streams::new(Vec::new());
-    let mount = args.mount.mount();
+    let mut streams = Streams::new(sections.filters());
     let mut positions: BTreeMap<IpAddr, Positions> = BTreeMap::new();
     let mut flows = Flows::default();
     let read = loop {
@@ -74,7 +79,8 @@ pub fn run(args: &Args) -> Result<(), CliError> {
             Err(error) => break Err(error),
         };
         let datagram = placed.datagram;
-        match streams.take(&placed, |_, _| DataStream::new(mount))? {
+        let begin = |_: usize, sender: &Sender| args.begin(sections.of(sender));
+        match streams.take(&placed, begin)? {
             Ok((Route::Position(_), packet)) => {
                 let ip = datagram.source.ip().to_canonical();
                 positions.entry(ip).or_default().add(&packet);
@@ -91,22 +97,69 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         print_json(&Report {
             capture: CaptureReport::new(&capture, sensors),
             sensors: senders
-                .map(|(sender, stream)| stream.report(sender))
+                .map(|(sender, stream)| stream.report(sender, sections.name_of(sender)))
                 .collect(),
             positions: positions.iter().map(|(ip, one)| one.report(*ip)).collect(),
             flows: flows.reports(),
         })?;
     } else {
-        let mut text = describe(&capture, sensors, all, &positions);
+        let mut text = describe(&capture, &sections, sensors, all, &positions);
         text += &describe_others(&capture, sensors, &flows);
         print(&text)?;
     }
-    read.map_err(CliError::Capture)
+    read?;
+    args.check(&sections, &capture, &streams)
+}
+
+impl Args {
+    /// What is kept of a sensor of this section.
+    fn begin(&self, section: &Section) -> Result<DataStream, CliError> {
+        let is_mounted = section.configured.mount != Mount::default();
+        let config = &section.sensor.pipeline;
+        Ok(DataStream {
+            given: config.model,
+            turns: Some(Turns::new(config, is_mounted || self.mount.says_side())?),
+            ..DataStream::default()
+        })
+    }
+
+    /// Says which sensors of the configuration are not in the capture, or cannot be decoded as it
+    /// says.
+    fn check(
+        &self,
+        sections: &Sections,
+        capture: &Capture,
+        streams: &Streams<DataStream>,
+    ) -> Result<(), CliError> {
+        let senders = streams.sensors.senders();
+        let mut wrong = sections.missing(senders);
+        for (sender, stream) in senders.iter().zip(&streams.all) {
+            let turns = stream
+                .turns
+                .as_ref()
+                .filter(|_| self.config.config.is_some());
+            if let Some(fault) = turns.and_then(Turns::fault) {
+                let name = sections.name_of(sender);
+                wrong.push(format!(
+                    "{name}: {}",
+                    explain(fault, Dialect::Configuration)
+                ));
+            }
+        }
+        for message in &wrong {
+            complain("error", format_args!("{}: {message}", capture.name()));
+        }
+        match wrong.is_empty() {
+            true => Ok(()),
+            false => Err(CliError::Reported),
+        }
+    }
 }
 
 /// The description of a capture, sensor by sensor.
 fn describe(
     capture: &Capture,
+    sections: &Sections,
     sensors: &DiscoveredSensors,
     streams: &[DataStream],
     positions: &BTreeMap<IpAddr, Positions>,
@@ -119,7 +172,10 @@ fn describe(
     }
     for (sensor, stream) in sensors.senders().iter().zip(streams) {
         let source = sensor.source;
-        let _ = writeln!(text, "\n{}", sensor.origin());
+        let _ = match sections.name_of(sensor) {
+            name if name == sensor.name => writeln!(text, "\n{}", sensor.origin()),
+            name => writeln!(text, "\n{name}, {}", sensor.origin()),
+        };
         stream.describe(&mut text);
         if let Some(positions) = positions.get(&source.ip()) {
             let whose = match addresses[&source.ip()] {
@@ -229,6 +285,8 @@ struct DataStream {
     modes: Vec<ReturnMode>,
     blank_mode: bool,
     model: Option<Result<Detection, DetectError>>,
+    /// The model that is configured.
+    given: Option<Model>,
     detector: Option<Detector>,
     /// Packets from before the model was known, each with its arrival.
     waiting: Vec<(DataPacket, i64)>,
@@ -246,32 +304,7 @@ struct MotionStats {
     late: u64,
     restarts: u64,
     sector: Option<Sector>,
-    rpm_sum: f64,
-    rpm_count: u64,
-    turn: Turn,
-    /// Mean speeds of whole turns.
-    turns_rpm: Vec<f64>,
-}
-
-/// An open turn, for mean speeds: single packets carry encoder noise.
-#[derive(Default)]
-struct Turn {
-    turned_cdeg: f64,
-    rpm_sum: f64,
-    packets: u32,
-}
-
-impl Turn {
-    /// Adds a packet; returns the mean speed when the turn is complete.
-    fn add(&mut self, rpm: f64, period_ns: f64) -> Option<f64> {
-        self.turned_cdeg += (rpm * TURN / 60e9).abs() * period_ns;
-        self.rpm_sum += rpm;
-        self.packets += 1;
-        (self.turned_cdeg >= TURN).then(|| {
-            let turn = std::mem::take(self);
-            turn.rpm_sum / f64::from(turn.packets)
-        })
-    }
+    has_begun: bool,
 }
 
 impl Stream for DataStream {
@@ -284,24 +317,28 @@ impl Stream for DataStream {
             self.malformed += 1;
             return;
         };
-        if let Content::Data(packet) = sent.content {
-            self.add_arrival(sent.arrival_ns);
-            if let Some(turns) = &mut self.turns {
-                turns.add(sent);
+        match (sent.content, &mut self.turns) {
+            (Content::Position(position, _), Some(turns)) => turns.hear(&position),
+            (Content::Data(packet), turns) => {
+                if let Some(turns) = turns {
+                    turns.add(sent);
+                }
+                self.add_arrival(sent.arrival_ns);
+                self.add(packet, sent.arrival_ns);
             }
-            self.add(packet, sent.arrival_ns);
+            (Content::Position(..), None) => {}
         }
+    }
+
+    fn idle(&mut self, time: SteadyTime) -> bool {
+        if let Some(turns) = &mut self.turns {
+            turns.idle(time.now_ns);
+        }
+        false
     }
 }
 
 impl DataStream {
-    fn new(mount: Option<Mount>) -> Result<Self, CliError> {
-        Ok(Self {
-            turns: Turns::new(mount).ok(),
-            ..Self::default()
-        })
-    }
-
     fn add_arrival(&mut self, arrival_ns: i64) {
         if self.packets == 0 {
             self.first_ns = arrival_ns;
@@ -324,7 +361,8 @@ impl DataStream {
             self.put_in_order(packet, arrival_ns);
         } else if self.model.is_none() {
             self.waiting.push((*packet, arrival_ns));
-            let detector = self.detector.get_or_insert_with(|| Detector::new(None));
+            let given = self.given;
+            let detector = self.detector.get_or_insert_with(|| Detector::new(given));
             if let Some(result) = detector.observe(packet) {
                 self.decide(result);
             }
@@ -364,7 +402,7 @@ impl DataStream {
             Err(Rejection::Behind { .. }) => self.motion.late += 1,
             Err(Rejection::Implausible(_)) => self.malformed += 1,
         }
-        self.motion.follow(order, &detection);
+        self.motion.follow(order);
         self.last_mode = Some(mode);
         if detection.model.is_hdl64e() {
             self.add_mode(mode);
@@ -379,9 +417,12 @@ impl DataStream {
             let result = detector.conclude();
             self.decide(result);
         }
-        if let (Some(order), Some(Ok(detection))) = (&mut self.order, &self.model) {
+        if let Some(order) = &mut self.order {
             order.flush();
-            self.motion.follow(order, detection);
+            self.motion.follow(order);
+        }
+        if let Some(turns) = &mut self.turns {
+            turns.end();
         }
     }
 
@@ -397,6 +438,10 @@ impl DataStream {
         let packets = count_of(self.packets, "packet");
         let rate = rate(self.packets, self.first_ns, self.last_ns);
         row(text, "data", packets + &rate);
+        let speed = self.turns.as_ref().map(Turns::speed);
+        if let Some(speed) = speed.filter(|speed| speed.mean_rpm().is_some()) {
+            row(text, "speed", speed);
+        }
         if let Some(order) = &self.order {
             self.motion.describe(text, order);
         }
@@ -408,28 +453,35 @@ impl DataStream {
         }
     }
 
-    fn report<'a>(&self, sender: &'a Sender) -> SensorReport<'a> {
+    fn report<'a>(&self, sender: &'a Sender, name: &'a str) -> SensorReport<'a> {
         let (detection, fault) = match &self.model {
             Some(Ok(detection)) => (Some(detection), None),
             Some(Err(error)) => (None, Some(error)),
             None => (None, None),
         };
         let (motion, turns) = (&self.motion, self.turns.as_ref());
+        let speed = turns.map(Turns::speed);
+        let mounted = turns.and_then(Turns::mounted);
+        let side = mounted.as_ref().and_then(Mounted::side);
+        let [floor, floor_if_hanging] = mounted.map_or_else(Default::default, |one| one.report());
         let counts = self
             .order
             .as_ref()
             .map(PacketOrder::counts)
             .unwrap_or_default();
         SensorReport {
-            sender: sender.into(),
+            sender: SenderReport::new(sender, name),
             model: detection.map(|one| self.told_by_status(one).unwrap_or(one.model).name()),
             model_basis: detection.map(|one| one.basis.to_string()),
-            fault: fault.map(|error| explain_model(error, Dialect::CommandLine)),
+            fault: fault.map(|error| explain_model(error, self.dialect())),
             return_modes: self.modes.iter().map(|mode| mode.name()).collect(),
-            rpm: motion.mean_rpm().map(|rpm| rounded(rpm, 1000.0)),
-            rpm_range: motion
-                .rpm_range()
-                .map(|range| range.map(|rpm| rounded(rpm, 1000.0))),
+            rpm: speed
+                .and_then(Speed::mean_rpm)
+                .map(|rpm| rounded(rpm, 1000.0)),
+            rpm_range: speed
+                .and_then(Speed::bounds_rpm)
+                .map(|range| range.map(|rpm| rounded(rpm.into(), 1000.0))),
+            counter_clockwise: speed.is_some_and(Speed::is_reversed),
             left_out_deg: motion
                 .sector
                 .map(|sector| left_out_deg(sector).map(|deg| rounded(deg, 10.0))),
@@ -444,8 +496,19 @@ impl DataStream {
             restarts: motion.restarts,
             dark_beams: beams::json(&turns.map(Turns::dark_beams).unwrap_or_default()),
             eye: turns.map(Turns::eye).unwrap_or_default(),
-            floor: turns.map_or(Value::Null, Turns::floor),
+            side: side.map(|(side, _)| side.name()),
+            side_by: side.map(|(_, by)| by),
+            floor,
+            floor_if_hanging,
             unit: self.status.as_ref().and_then(status::report),
+        }
+    }
+
+    /// Where its model is set.
+    fn dialect(&self) -> Dialect {
+        match self.given {
+            Some(_) => Dialect::Configuration,
+            None => Dialect::CommandLine,
         }
     }
 
@@ -453,7 +516,7 @@ impl DataStream {
         let detection = match &self.model {
             Some(Ok(detection)) => detection,
             Some(Err(error)) => {
-                let why = explain_model(error, Dialect::CommandLine);
+                let why = explain_model(error, self.dialect());
                 return format!("cannot be decoded: {why}");
             }
             None => return "no well-formed packet tells".to_owned(),
@@ -490,59 +553,19 @@ impl DataStream {
 }
 
 impl MotionStats {
-    fn follow(&mut self, order: &mut PacketOrder, detection: &Detection) {
-        let spec = detection.spec;
-        let mut first = self.rpm_count == 0;
-        while let Some((index, before)) = order.pop() {
+    fn follow(&mut self, order: &mut PacketOrder) {
+        while let Some((_, before)) = order.pop() {
             match before {
                 PacketGap::Lost { packets, .. } => self.lost += u64::from(packets),
-                PacketGap::Start if !first => self.restarts += 1,
+                PacketGap::Start if self.has_begun => self.restarts += 1,
                 PacketGap::Start | PacketGap::None | PacketGap::Blanked => {}
             }
-            first = false;
-            let packet = order.packet(index);
-            let rpm = packet.motion.rate_cdeg_ns(spec) * 60e9 / TURN;
-            self.rpm_sum += rpm;
-            self.rpm_count += 1;
-            let period_ns = f64::from(spec.packet_period_ns(packet.mode));
-            self.turns_rpm.extend(self.turn.add(rpm, period_ns));
+            self.has_begun = true;
         }
         self.sector = order.sector().or(self.sector);
     }
 
-    /// Mean of whole turns, else of the packets.
-    fn mean_rpm(&self) -> Option<f64> {
-        let (sum, count) = match self.turns_rpm.len() {
-            0 => (self.rpm_sum, self.rpm_count),
-            count => (self.turns_rpm.iter().sum(), count as u64),
-        };
-        (count > 0).then(|| sum / count as f64)
-    }
-
-    /// The bounds of whole turns.
-    fn rpm_range(&self) -> Option<[f64; 2]> {
-        let turns = self.turns_rpm.iter().copied();
-        let least = turns.clone().reduce(f64::min)?;
-        Some([least, turns.reduce(f64::max)?])
-    }
-
-    /// Its mean, its bounds over whole turns, and the sense if it is the unusual one.
-    fn speed(&self) -> Option<String> {
-        let mean = self.mean_rpm()?;
-        let mut speed = format!("{:.1} rpm", mean.abs());
-        if let Some([a, b]) = self.rpm_range().map(|range| range.map(f64::abs)) {
-            let _ = write!(speed, " ({:.1} to {:.1})", a.min(b), a.max(b));
-        }
-        if mean < 0.0 {
-            speed += ", counter-clockwise";
-        }
-        Some(speed)
-    }
-
     fn describe(&self, text: &mut String, order: &PacketOrder) {
-        if let Some(speed) = self.speed() {
-            row(text, "speed", speed);
-        }
         if let Some(sector) = self.sector {
             let [from, to] = left_out_deg(sector);
             let sector = format_args!(

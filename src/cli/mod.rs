@@ -26,6 +26,7 @@ pub mod sections;
 pub mod send;
 pub mod sensor;
 pub mod signals;
+mod speed;
 pub mod stream;
 pub mod tables;
 pub mod tools;

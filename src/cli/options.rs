@@ -18,7 +18,7 @@ use crate::suggest::nearest;
 use sweepd_core::assemble::BodyBox;
 use sweepd_core::pipeline;
 use sweepd_core::segment::settings::{REMOVED, Removed, Unit};
-use sweepd_core::segment::{self, Mount, SETTINGS, Setting};
+use sweepd_core::segment::{self, SETTINGS, Setting};
 use sweepd_core::sensor::Model;
 use sweepd_core::sensor::model::UnknownModel;
 use sweepd_core::sweep::layout::ReturnChoice;
@@ -273,13 +273,16 @@ fn given(
 pub struct MountOptions(Vec<(&'static Setting, f64)>);
 
 impl MountOptions {
-    /// The mount; `None` where nothing is said of it.
-    pub fn mount(&self) -> Option<Mount> {
-        let mut config = segment::Config::default();
+    /// Puts what is given over another mount.
+    pub fn apply(&self, to: &mut segment::Config) {
         for &(setting, value) in &self.0 {
-            setting.set(&mut config, value);
+            setting.set(to, value);
         }
-        (!self.0.is_empty()).then_some(config.mount)
+    }
+
+    /// Whether any is given that says which side is up.
+    pub fn says_side(&self) -> bool {
+        self.0.iter().any(|(setting, _)| setting.option != "height")
     }
 
     fn settings() -> impl Iterator<Item = &'static Setting> {

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use super::options::{ConfigOptions, SegmentOptions, SensorChoice, SensorOptions};
+use super::options::{ConfigOptions, MountOptions, SegmentOptions, SensorChoice, SensorOptions};
 use super::{CliError, complain};
 use crate::admission::{Sender, SensorFilter, SensorFilterError};
 use crate::daemon::config::{Config, SensorConfig};
@@ -50,6 +50,18 @@ impl Sections {
         for section in &mut sections.list {
             sensor.apply(&mut section.sensor.pipeline)?;
             segment.apply(&mut section.sensor.pipeline)?;
+        }
+        Ok(sections)
+    }
+
+    /// The same with options of the mount alone.
+    ///
+    /// # Errors
+    /// Those of [`Self::configured`].
+    pub fn mounted(options: &ConfigOptions, mount: &MountOptions) -> Result<Self, CliError> {
+        let mut sections = Self::configured(options)?;
+        for section in &mut sections.list {
+            mount.apply(&mut section.sensor.pipeline.segment);
         }
         Ok(sections)
     }
@@ -132,6 +144,11 @@ impl Sections {
         &self.list
     }
 
+    /// The section of a sender whose packets are taken.
+    pub fn of(&self, sender: &Sender) -> &Section {
+        &self.list[self.number_of(sender)]
+    }
+
     /// The number of the section of a sender whose packets are taken.
     pub fn number_of(&self, sender: &Sender) -> usize {
         let of_sender = |section: &Section| {
@@ -143,7 +160,7 @@ impl Sections {
 
     /// What a sender is called: its name in the configuration, or its address.
     pub fn name_of<'a>(&'a self, sender: &'a Sender) -> &'a str {
-        match &self.list[self.number_of(sender)].sensor.name[..] {
+        match &self.of(sender).sensor.name[..] {
             "" => &sender.name,
             name => name,
         }

@@ -6,8 +6,11 @@ use serde_json::{Value, json};
 
 use crate::common::data_dir;
 use crate::{Folder, fixture, inspect, made, sweepd};
+use sweepd::segment::Mount;
 use sweepd::sensor::Model;
+use sweepd::wire::data::ReturnMode;
 use sweepd_lab::cast::{Scene, Sensor, Spin, small_box};
+use sweepd_lab::simulate::{Emitter, EmitterConfig, Setting};
 use sweepd_lab::testkit::stream;
 
 /// The value of a row of the text.
@@ -120,6 +123,7 @@ fn what_inspect_and_replay_count_has_the_same_names() {
         "reordered",
         "duplicates",
         "return_modes",
+        "rpm",
     ] {
         assert_eq!(told["sensors"][0][key], summary["sensors"][0][key], "{key}");
     }
@@ -250,17 +254,9 @@ fn the_floor_says_how_the_sensor_is_mounted() {
     let folder = Folder::new("floor");
     let path = folder.write("floor.pcap", made::pcap(&sent));
     let text = inspect(&path).done();
-    let number = |key: &str| -> f64 {
-        let mut lines = text.lines().map(str::trim);
-        let value = lines.find_map(|line| line.strip_prefix(key)?.strip_prefix(" = "));
-        value
-            .unwrap_or_else(|| panic!("no {key} in\n{text}"))
-            .parse()
-            .unwrap()
-    };
-    assert!((number("height_m") - 0.4).abs() <= 0.008, "{text}");
-    assert!((number("pitch_deg") + 10.0).abs() <= 0.5, "{text}");
-    assert!(number("roll_deg").abs() <= 0.5, "{text}");
+    assert!((key(&text, "height_m") - 0.4).abs() <= 0.008, "{text}");
+    assert!((key(&text, "pitch_deg") + 10.0).abs() <= 0.5, "{text}");
+    assert!(key(&text, "roll_deg").abs() <= 0.5, "{text}");
     assert!(
         text.contains("[sensor.mount]") && !text.contains("warning"),
         "{text}"
@@ -280,5 +276,231 @@ fn the_floor_says_how_the_sensor_is_mounted() {
     assert!(
         row(&text, "floor").starts_with("no floor is seen"),
         "{text}"
+    );
+}
+
+/// What a sensor sends for six and a half turns in a warehouse, 1.5 m up and rolled by so much.
+fn in_a_warehouse(model: Model, roll_deg: f32) -> Vec<made::Sent> {
+    let scene = Setting::Warehouse.build(1);
+    let mount = Mount {
+        height_m: Some(1.5),
+        roll_rad: roll_deg.to_radians(),
+        ..Mount::default()
+    };
+    let mut config = EmitterConfig::new(model, ReturnMode::Strongest).turns(6.5);
+    config.pose = Setting::Warehouse.mounted(&scene, 0, &mount).unwrap();
+    Emitter::new(config, &scene)
+        .map(|sent| made::Sent {
+            arrival_ns: sent.arrival_ns,
+            source: sent.source,
+            port: sent.destination.port(),
+            payload: sent.payload,
+        })
+        .collect()
+}
+
+/// The value of a key among the lines to copy.
+fn key(text: &str, key: &str) -> f64 {
+    let mut lines = text.lines().map(str::trim);
+    let value = lines.find_map(|line| line.strip_prefix(key)?.strip_prefix(" = "));
+    let value = value.unwrap_or_else(|| panic!("no {key} in\n{text}"));
+    value.parse().unwrap()
+}
+
+fn json_of(path: &std::path::Path, options: &[&str]) -> Value {
+    let mut args = vec!["inspect", path.to_str().unwrap(), "--json"];
+    args.extend(options);
+    serde_json::from_str(&sweepd(&args).done()).unwrap()
+}
+
+#[test]
+fn an_hdl32e_says_itself_which_side_is_up() {
+    let folder = Folder::new("chips");
+    for (roll_deg, name) in [(0.0, "upright"), (180.0, "head_down")] {
+        let sent = in_a_warehouse(Model::Hdl32e, roll_deg);
+        let path = folder.write(&format!("{name}.pcap"), made::pcap(&sent));
+        let text = inspect(&path).done();
+        assert!((key(&text, "height_m") - 1.5).abs() < 0.03, "{text}");
+        assert!(
+            (key(&text, "roll_deg").abs() - f64::from(roll_deg)).abs() < 0.5,
+            "{text}"
+        );
+        assert!(
+            row(&text, "floor").starts_with("its accelerometers say"),
+            "{text}"
+        );
+        assert!(text.matches("[sensor.mount]").count() == 1, "{text}");
+        let sensor = &json_of(&path, &[])["sensors"][0];
+        assert_eq!(sensor["side"], name);
+        assert_eq!(sensor["side_by"], "accelerometers");
+        assert_eq!(sensor["floor_if_hanging"], Value::Null);
+        // What is set counts before what is felt.
+        let told = &json_of(&path, &["--roll", "0"])["sensors"][0];
+        assert_eq!(
+            (&told["side"], &told["side_by"]),
+            (&json!("upright"), &json!("mount"))
+        );
+    }
+}
+
+/// Without the position packets, and as another model.
+#[test]
+fn a_ceiling_is_never_the_floor_without_the_words() {
+    let folder = Folder::new("ceiling");
+    for model in [Model::Hdl32e, Model::Vlp16] {
+        for roll_deg in [0.0, 180.0] {
+            let mut sent = in_a_warehouse(model, roll_deg);
+            sent.retain(made::Sent::is_data);
+            let path = folder.write("capture.pcap", made::pcap(&sent));
+            let text = inspect(&path).done();
+            let place = format!("{model} {roll_deg}:\n{text}");
+            let sensor = &json_of(&path, &[])["sensors"][0];
+            if roll_deg != 0.0 {
+                assert!(text.contains("if the sensor hangs"), "{place}");
+                assert_ne!(sensor["side"], "upright", "{place}");
+            }
+            // What is seen is one of the two, and the true one is among them.
+            let heights = ["floor", "floor_if_hanging"].map(|key| sensor[key]["height_m"].as_f64());
+            let is_right = |height_m: &f64| (height_m - 1.5).abs() < 0.075;
+            let is_there = heights[usize::from(roll_deg != 0.0)]
+                .as_ref()
+                .is_some_and(is_right);
+            assert!(is_there, "{heights:?} {place}");
+            // With the side that is set, nothing is said of another, and no cure is what is set.
+            let roll = format!("{roll_deg}");
+            let told = sweepd(&["inspect", path.to_str().unwrap(), "--roll", &roll]).done();
+            assert!(
+                !told.contains("hangs") && !told.contains("roll_deg = 180;"),
+                "{told}"
+            );
+            assert!((key(&told, "height_m") - 1.5).abs() < 0.075, "{told}");
+        }
+    }
+}
+
+#[test]
+fn the_mount_of_a_configuration_is_held_against_the_floor() {
+    let folder = Folder::new("configured-mount");
+    let capture = folder.write("capture.pcap", made::pcap(&made::vlp16()));
+    let config = folder.write(
+        "sweepd.toml",
+        "[[sensor]]\nname = \"roof\"\naddress = \"192.168.1.201\"\nmount = { height_m = 2.5, roll_deg = 1 }\n\
+         [[sensor]]\nname = \"rear\"\naddress = \"192.168.1.9\"\n",
+    );
+    let [capture, config] = [&capture, &config].map(|path| path.to_str().unwrap());
+    let args = ["inspect", capture, "--config", config, "--sensor", "roof"];
+    let text = sweepd(&args).done();
+    assert!(
+        text.contains("\nroof, 192.168.1.201:2368 to port 2368\n"),
+        "{text}"
+    );
+    assert!(
+        row(&text, "warning").starts_with("the mount is set to height_m = 2.5"),
+        "{text}"
+    );
+    // Options beside it count more.
+    let text = sweepd(&[&args[..], &["--height", "1.9"]].concat()).done();
+    assert!(!text.contains("warning"), "{text}");
+    let gone = sweepd(&["inspect", capture, "--config", config, "--sensor", "rear"]);
+    gone.says(&["no sensor rear (192.168.1.9) in it"]);
+    sweepd(&["inspect", capture, "--config", config, "--sensor", "front"])
+        .says(&["has no sensor called `front`", "roof (192.168.1.201)"]);
+    sweepd(&["inspect", capture, "--sensor", "roof"]).says(&["--config"]);
+    // A mask of 64 rows, and a sensor of 16.
+    folder.write("mask.png", made::png(720, 64));
+    let masked = folder.write(
+        "masked.toml",
+        "[[sensor]]\nname = \"roof\"\naddress = \"192.168.1.201\"\nsegment = { mask = \"mask.png\" }\n",
+    );
+    sweepd(&["inspect", capture, "--config", masked.to_str().unwrap()])
+        .says(&["roof: ", "64 pixels high"]);
+}
+
+#[test]
+fn less_than_a_turn_has_no_floor() {
+    let folder = Folder::new("less");
+    let sent: Vec<made::Sent> = made::vlp16().into_iter().take(40).collect();
+    let path = folder.write("less.pcap", made::pcap(&sent));
+    let text = inspect(&path).done();
+    assert_eq!(row(&text, "floor"), "none: the capture has no whole turn");
+    assert!(is_about_600(row(&text, "speed")), "{text}");
+    let floor = &json_of(&path, &[])["sensors"][0]["floor"];
+    assert_eq!(floor["trouble"], "none: the capture has no whole turn");
+    assert_eq!(floor["lines"], Value::Null);
+}
+
+/// One place measures it.
+#[test]
+#[cfg_attr(without_captures, ignore = "no captures")]
+fn a_real_sensor_has_one_speed() {
+    let path = data_dir().join("pcap/hdl32e_veloview-monterey-a.pcap");
+    let told = json_of(&path, &[]);
+    let replayed = sweepd(&["replay", path.to_str().unwrap(), "--json"]).done();
+    let summary: Value = serde_json::from_str(replayed.lines().last().unwrap()).unwrap();
+    let rpm = &told["sensors"][0]["rpm"];
+    assert_eq!(rpm, &summary["summary"]["sensors"][0]["rpm"]);
+    assert!((700.0..710.0).contains(&rpm.as_f64().unwrap()), "{rpm}");
+}
+
+const MEASURED: &str = "docs/measured.md";
+const TABLE: &str = "## What the floor says on real captures\n";
+const TABLE_CURE: &str = "SWEEPD_WRITE_PAGES=1 cargo test -p sweepd --test cli what_the_floor_says";
+
+/// A row for a floor: its height, pitch, roll, spread or doubt, sweeps.
+fn floor_row(name: &str, floor: &Value) -> String {
+    let number = |key: &str, digits: usize| match floor[key].as_f64() {
+        Some(number) => format!("{number:.digits$}"),
+        None => String::new(),
+    };
+    let spread = floor["spread"]["height_m"].as_f64();
+    let said = match (&floor["doubt"], &floor["trouble"], spread) {
+        (Value::String(doubt), ..) => doubt.clone(),
+        (_, _, Some(spread_m)) => format!("{spread_m:.3}"),
+        (_, Value::String(trouble), None) => trouble.clone(),
+        _ => "not decoded".to_owned(),
+    };
+    let sweeps = match (&floor["sweeps"], &floor["looks"]) {
+        (Value::Number(sweeps), Value::Number(looks)) => format!("{sweeps} of {looks}"),
+        _ => String::new(),
+    };
+    let [height, pitch, roll] = [("height_m", 3), ("pitch_deg", 1), ("roll_deg", 1)]
+        .map(|(key, digits)| number(key, digits));
+    format!("| {name} | {height} | {pitch} | {roll} | {said} | {sweeps} |\n")
+}
+
+/// The table of the page is what `inspect` says.
+#[test]
+#[cfg_attr(without_captures, ignore = "no captures")]
+fn what_the_floor_says_on_real_captures_is_in_the_page() {
+    let pcaps = std::fs::read_dir(data_dir().join("pcap")).unwrap();
+    let mut paths: Vec<_> = pcaps.map(|entry| entry.unwrap().path()).collect();
+    paths.sort();
+    let mut table =
+        "| capture | height, m | pitch, degrees | roll, degrees | spread, m, or doubt | sweeps |\n\
+                     |---|---|---|---|---|---|\n"
+            .to_owned();
+    for path in paths {
+        let name = path.file_stem().unwrap().to_str().unwrap();
+        let sensor = &json_of(&path, &[])["sensors"][0];
+        let above = &sensor["floor_if_hanging"];
+        if above.is_null() || !sensor["floor"].is_null() {
+            table += &floor_row(name, &sensor["floor"]);
+        }
+        if !above.is_null() {
+            table += &floor_row(&format!("{name}, if it hangs"), above);
+        }
+    }
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(MEASURED);
+    let page = std::fs::read_to_string(&path).unwrap();
+    let (before, section) = page.split_once(TABLE).unwrap();
+    let from = section.find("\n|").unwrap() + 1;
+    let to = from + section[from..].find("\n\n").unwrap() + 1;
+    let made = [before, TABLE, &section[..from], &table, &section[to..]].concat();
+    if std::env::var_os("SWEEPD_WRITE_PAGES").is_some() {
+        std::fs::write(&path, &made).unwrap();
+    }
+    assert!(
+        made == std::fs::read_to_string(&path).unwrap(),
+        "{MEASURED} differs: {TABLE_CURE}"
     );
 }

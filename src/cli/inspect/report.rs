@@ -74,10 +74,10 @@ pub struct SensorReport<'a> {
     /// Why it cannot be decoded.
     pub fault: Option<String>,
     pub return_modes: Vec<&'static str>,
-    /// Negative where it turns counter-clockwise.
+    /// Mean of whole turns.
     pub rpm: Option<f64>,
-    /// Of whole turns.
     pub rpm_range: Option<[f64; 2]>,
+    pub counter_clockwise: bool,
     /// Azimuths that the sensor leaves out, first and last.
     pub left_out_deg: Option<[f64; 2]>,
     pub packets: u64,
@@ -93,7 +93,12 @@ pub struct SensorReport<'a> {
     pub dark_beams: Value,
     /// Names of what keeps it from seeing.
     pub eye: Vec<&'static str>,
+    /// Which one is up, where that is known, and by what.
+    pub side: Option<&'static str>,
+    pub side_by: Option<&'static str>,
     pub floor: Value,
+    /// Where nothing says for sure which side is up: the level surface above.
+    pub floor_if_hanging: Value,
     /// What an HDL-64E says of itself.
     pub unit: Option<UnitReport>,
 }
@@ -106,10 +111,11 @@ pub struct SenderReport<'a> {
     port: u16,
 }
 
-impl<'a> From<&'a Sender> for SenderReport<'a> {
-    fn from(sender: &'a Sender) -> Self {
+impl<'a> SenderReport<'a> {
+    /// A sender, and what it is called.
+    pub fn new(sender: &'a Sender, sensor: &'a str) -> Self {
         Self {
-            sensor: &sender.name,
+            sensor,
             source: sender.source,
             port: sender.destination_port,
         }

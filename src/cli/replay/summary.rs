@@ -5,6 +5,7 @@ use std::io::{self, Write};
 use serde::Serialize;
 
 use crate::cli::output::{StageUs, rounded, time_source_name};
+use crate::cli::speed::Speed;
 use crate::floor::{self, Seen};
 use crate::input::Capture;
 use crate::text::{count_of, grouped, row};
@@ -27,14 +28,14 @@ pub struct Sums {
     height: Option<(f32, bool)>,
     /// Whether it is tilted so far that it has no ground.
     on_side: bool,
-    reversed: bool,
+    speed: Speed,
     modes: Vec<&'static str>,
     sources: Vec<&'static str>,
     /// Over whole sweeps; over partial ones as long as there is no whole one.
     means: Means,
 }
 
-/// What depends on a whole turn: speed, shares, times.
+/// What depends on a whole turn: shares, times.
 #[derive(Clone, Debug, Default)]
 struct Means {
     sweeps: u64,
@@ -42,8 +43,6 @@ struct Means {
     ground: u64,
     segments: u64,
     columns: u64,
-    rpm_sum: f64,
-    rpm_bounds: Option<(f32, f32)>,
     stage_sum: StageUs,
     stage_max: StageUs,
 }
@@ -55,6 +54,7 @@ impl Sums {
         self.returns += u64::from(header.returns);
         self.missing_columns += u64::from(header.missing_columns);
         note(&mut self.modes, header.return_mode().name());
+        self.speed.add(header);
         note(&mut self.sources, time_source_name(header.time_source()));
         if header.has(flags::PARTIAL) {
             self.partial += 1;
@@ -68,7 +68,6 @@ impl Sums {
             }
         }
         self.rows = sweep.rows();
-        self.reversed |= header.has(flags::REVERSED);
         let mount = Mount {
             height_m: None,
             pitch_rad: header.pitch_rad,
@@ -96,9 +95,6 @@ impl Means {
         self.ground += u64::from(header.ground);
         self.segments += u64::from(header.segments);
         self.columns += sweep.columns.len() as u64;
-        let (least, most) = self.rpm_bounds.unwrap_or((header.rpm, header.rpm));
-        self.rpm_bounds = Some((least.min(header.rpm), most.max(header.rpm)));
-        self.rpm_sum += f64::from(header.rpm);
         let stage = StageUs::of(sweep);
         self.stage_sum.decode += stage.decode;
         self.stage_sum.ground += stage.ground;
@@ -111,10 +107,6 @@ impl Means {
     /// A sum divided by the sweeps.
     fn mean(&self, sum: f64) -> f64 {
         sum / self.sweeps.max(1) as f64
-    }
-
-    fn rpm(&self) -> f64 {
-        self.mean(self.rpm_sum)
     }
 
     fn segments(&self) -> f64 {
@@ -251,7 +243,7 @@ impl<'a> SensorReport<'a> {
             fault: self.fault,
             return_modes: &sums.modes,
             time_sources: &sums.sources,
-            rpm: rounded(means.rpm(), 1000.0),
+            rpm: rounded(sums.speed.mean_rpm().unwrap_or(0.0), 1000.0),
             sweeps: sums.whole,
             partial_sweeps: sums.partial,
             returns: sums.returns,
@@ -314,16 +306,7 @@ impl<'a> SensorReport<'a> {
         let sums = self.sums;
         let means = &sums.means;
         row(table, "return mode", sums.modes.join(", "));
-        if let Some((least, most)) = means.rpm_bounds {
-            let sense = if sums.reversed {
-                ", counter-clockwise"
-            } else {
-                ""
-            };
-            let rpm = means.rpm();
-            let speed = format_args!("{rpm:.1} rpm ({least:.1} to {most:.1}){sense}");
-            row(table, "speed", speed);
-        }
+        row(table, "speed", &sums.speed);
         let partial = match sums.partial {
             0 => String::new(),
             count if self.partial_emitted => format!(", {count} partial"),
