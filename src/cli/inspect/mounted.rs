@@ -12,7 +12,8 @@ use sweepd_core::segment::{Mount, Stance};
 use sweepd_core::wire::position::Side;
 
 const NO_TURN: &str = "none: the capture has no whole turn";
-const NOT_SEEN: &str = "none: it is not looked for, as the mount says that the sensor lies on its side";
+const NOT_SEEN: &str =
+    "none: it is not looked for, as the mount says that the sensor lies on its side";
 /// How it is said which side is up.
 const STANDS: &str = "if the sensor stands upright, `roll_deg = 0`";
 const HANGS: &str = "if the sensor hangs, `roll_deg = 180`";
@@ -162,7 +163,11 @@ impl Mounted<'_> {
                 row(text, "", line);
             }
             if let Some(warning) = finding.filter(|one| is_sure && one.is_trouble()) {
-                row(text, "warning", format_args!("{}: {}", warning.what, floor::CURE));
+                row(
+                    text,
+                    "warning",
+                    format_args!("{}: {}", warning.what, floor::CURE),
+                );
             }
         }
     }
