@@ -193,6 +193,11 @@ impl FloorFinder {
         }
     }
 
+    /// What it was made for.
+    fn config(&self) -> &Config {
+        &self.config
+    }
+
     /// The mount that it was made for.
     pub fn mount(&self) -> &Mount {
         &self.config.mount

@@ -103,8 +103,9 @@ impl Mounted<'_> {
         match (chips, sides.answer(), upright.height_m(), height_m) {
             (Some(Side::Upright), ..) => vec![View::new(FEELS_UPRIGHT, upright)],
             (Some(Side::HeadDown), ..) => vec![View::new(FEELS_HEAD_DOWN, head_down)],
-            (None, Answer::Up(Side::Upright), ..) | (None, _, None, None) => {
-                vec![View::new("", upright)]
+            (None, Answer::Up(Side::Upright), ..) => vec![View::new("", upright)],
+            (None, _, None, None) => {
+                vec![View::new("", sides.leaning().map_or(upright, Sight::Floor))]
             }
             (None, Answer::Up(Side::HeadDown), ..) => {
                 vec![if_hanging(&format!("things stand on {above}"))]

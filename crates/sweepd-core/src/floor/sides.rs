@@ -5,8 +5,12 @@
 //! from ceilings. So columns vote: what is a little over a floor is nearer than walls.
 
 use std::f32::consts::PI;
+use std::f64::consts::TAU;
 
-use super::{FloorFinder, Sight};
+use nalgebra::{Rotation3, Vector3};
+
+use super::plane::Plane;
+use super::{Floor, FloorFinder, Sight};
 use crate::segment::{Config, Mount};
 use crate::sweep::SweepRef;
 use crate::sweep::height::HeightDoubt;
@@ -26,11 +30,18 @@ const NEARER_M: f64 = 0.3;
 const VOTES: u64 = 20;
 const VOTES_TIMES: u64 = 3;
 
+/// Where neither side has a surface, a floor is looked for below mounts that lean by so much from the
+/// one that is told, in so many directions: it is found up to 50 degrees off.
+const LEAN_RAD: f64 = 0.523_599;
+const LEANS: usize = 8;
+
 /// Looks for a floor on both sides of a sensor, sweep after sweep.
 #[derive(Clone, Debug)]
 pub struct Sides {
     /// Looks where the top is up, and where the foot is.
     finders: [FloorFinder; 2],
+    /// Look below mounts that lean; none until neither side has a surface.
+    leaning: Vec<FloorFinder>,
     /// Columns for either.
     votes: [u64; 2],
     /// Sweeps that could vote: both sides have a surface.
@@ -59,6 +70,7 @@ impl Sides {
         turned.mount.roll_rad += PI;
         Self {
             finders: [told, &turned].map(FloorFinder::new),
+            leaning: Vec::new(),
             votes: [0; 2],
             voted: 0,
         }
@@ -69,6 +81,18 @@ impl Sides {
         let mut looked = false;
         for finder in &mut self.finders {
             looked = finder.look(sweep);
+        }
+        if self
+            .finders
+            .iter()
+            .all(|finder| finder.sight() == Sight::NoFloor)
+        {
+            if self.leaning.is_empty() {
+                self.leaning = leaning(self.finders[0].config());
+            }
+            for finder in &mut self.leaning {
+                finder.look(sweep);
+            }
         }
         if let [Sight::Floor(floor), Sight::Floor(ceiling)] =
             self.finders.each_ref().map(FloorFinder::sight)
@@ -88,6 +112,21 @@ impl Sides {
         self.finders[side as usize].sight()
     }
 
+    /// A floor far off the mount, where neither side has a surface and this one is sure.
+    pub fn leaning(&self) -> Option<Floor> {
+        let floors = self
+            .leaning
+            .iter()
+            .filter_map(|finder| match finder.sight() {
+                Sight::Floor(floor) if is_sure(&finder.sight()) => {
+                    Some((floor.off_rad(finder.mount()), floor))
+                }
+                _ => None,
+            });
+        let nearest = floors.min_by(|a, b| a.0.total_cmp(&b.0));
+        nearest.map(|(_, floor)| floor)
+    }
+
     /// What both sides say.
     pub fn answer(&self) -> Answer {
         let [upright, head_down] = [Side::Upright, Side::HeadDown].map(|side| self.is_sure(side));
@@ -100,11 +139,8 @@ impl Sides {
         }
     }
 
-    /// Whether its surface is sure, but for how few sweeps there are.
     fn is_sure(&self, side: Side) -> bool {
-        let sight = self.sight(side);
-        let doubt = sight.doubt();
-        sight.height_m().is_some() && matches!(doubt, None | Some(HeightDoubt::FewSweeps { .. }))
+        is_sure(&self.sight(side))
     }
 
     /// The side that the sweeps vote for, in the mean.
@@ -133,6 +169,29 @@ impl Sides {
         }
         self.voted += 1;
     }
+}
+
+/// Whether a surface is sure, but for how few sweeps there are.
+fn is_sure(sight: &Sight) -> bool {
+    let doubt = sight.doubt();
+    sight.height_m().is_some() && matches!(doubt, None | Some(HeightDoubt::FewSweeps { .. }))
+}
+
+/// Finders for mounts that lean in all directions.
+fn leaning(told: &Config) -> Vec<FloorFinder> {
+    let about_x = |rad: f64| Rotation3::from_axis_angle(&Vector3::x_axis(), rad);
+    let about_z = |rad: f64| Rotation3::from_axis_angle(&Vector3::z_axis(), rad);
+    let up = Vector3::from(told.mount.up().axis().map(f64::from));
+    let leaning = (0..LEANS).map(|lean| {
+        let towards = about_z(TAU * lean as f64 / LEANS as f64);
+        let up = towards * about_x(LEAN_RAD) * towards.inverse() * up;
+        let plane = Plane { up, height_m: 0.0 };
+        let mut config = told.clone();
+        config.mount.pitch_rad = plane.pitch_rad() as f32;
+        config.mount.roll_rad = plane.roll_rad() as f32;
+        FloorFinder::new(&config)
+    });
+    leaning.collect()
 }
 
 /// Two surfaces with a sensor between them.
