@@ -3,11 +3,13 @@
 //!
 //! It states the rules of both pages as directly as they can be said: queues and `Vec`s of pixels,
 //! plain loops, one number at a time. Of `sweepd_core::segment` it takes the [`Config`], whose mask
-//! says what it hides, and nothing else: a fault of a helper there is not in both. Nothing in the program calls it: the tests and benches hold the segmenter
-//! against it, on real and on random images.
+//! says what it hides, and nothing else: a fault of a helper there is not in both. Nothing in the
+//! program calls it: the tests and benches hold the segmenter against it, on real and on random
+//! images.
 //!
 //! ```text
 //! placing      which pixels count, how far from the plumb line they are, and how high
+//! height       how high the sensor is, where that is not configured
 //! ground       the climb of each column
 //! vote         neighbours in a row agree
 //! columns      the angle between columns, and which are no neighbours
@@ -20,6 +22,7 @@
 mod columns;
 mod components;
 mod ground;
+mod height;
 mod nearness;
 mod placing;
 mod steps;
@@ -30,6 +33,7 @@ use sweepd_core::segment::Config;
 use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::{LABEL_GROUND, LABEL_NONE, flags};
 
+pub use self::height::Height;
 use self::nearness::Nearness;
 use self::placing::{Plumb, Return};
 

@@ -8,7 +8,7 @@ use sweepd_core::segment::Config;
 use sweepd_core::sweep::{BeamRow, SweepRef};
 
 /// Further ranges are taken for this one, metres.
-const FURTHEST_M: f32 = 1e6;
+pub(super) const FURTHEST_M: f32 = 1e6;
 
 /// A return that may be labelled.
 #[derive(Clone, Copy)]
@@ -36,7 +36,13 @@ pub(super) fn place(sweep: &SweepRef<'_>, config: &Config) -> Vec<Option<Return>
 }
 
 /// Whether a pixel holds a return within the limits that the robot's own body does not hide.
-fn counts(sweep: &SweepRef<'_>, config: &Config, row: usize, column: usize, range_m: f32) -> bool {
+pub(super) fn counts(
+    sweep: &SweepRef<'_>,
+    config: &Config,
+    row: usize,
+    column: usize,
+    range_m: f32,
+) -> bool {
     let is_within = range_m >= config.min_range_m && range_m <= config.max_range_m;
     let is_masked = match &config.mask {
         Some(mask) => mask.hides(row, sweep.azimuth_rad(row, column)),
@@ -63,6 +69,11 @@ impl Plumb {
             forward: sin_pitch as f32,
             up: (cos_roll * cos_pitch) as f32,
         }
+    }
+
+    /// Right, forward, up.
+    pub fn up(&self) -> [f32; 3] {
+        [self.right, self.forward, self.up]
     }
 
     /// Whether the lowest row of the image is the highest over the ground.

@@ -1,0 +1,288 @@
+//! The floor among the surfaces of a sweep, and what speaks against it.
+
+use std::collections::{HashMap, HashSet};
+
+use nalgebra::Vector3;
+use sweepd_core::sweep::height::HeightDoubt;
+
+use super::plane::{Plane, single};
+use super::points::{Column, Pair};
+use super::surfaces::{CLOSE, FEW, Found, Surface, median};
+
+const PARALLEL_RAD: f64 = 0.052_36;
+/// Fewer columns or directions are few returns; a direction counts with two columns.
+const COLUMNS: usize = 15;
+const DIRECTIONS: usize = 3;
+const ERROR_RAD: f64 = 0.008_727;
+const TILTED_RAD: f64 = 0.034_907;
+const ALL_AROUND: usize = 7;
+const SMALL_M: f32 = 1.5;
+const RAMP_RAD: f64 = 0.017_453;
+/// Heights that differ by more are not one: a share, and metres.
+const OTHER: f64 = 0.05;
+const OTHER_M: f64 = 0.03;
+
+/// The floor of one sweep.
+#[derive(Clone, Copy)]
+pub(super) struct Verdict {
+    pub plane: Plane,
+    pub doubt: Option<HeightDoubt>,
+}
+
+/// All that is known of a sweep.
+struct Seen<'a> {
+    columns: &'a [Column],
+    pairs: &'a [Pair],
+    up: &'a Vector3<f64>,
+    surfaces: &'a [Surface],
+}
+
+pub(super) fn decide(
+    columns: &[Column],
+    pairs: &[Pair],
+    up: &Vector3<f64>,
+    found: &Found,
+) -> Option<Verdict> {
+    let seen = Seen {
+        columns,
+        pairs,
+        up,
+        surfaces: &found.surfaces,
+    };
+    let mut floor: Option<&Surface> = None;
+    for surface in seen.surfaces {
+        let is_low = 4 * surface.below <= surface.columns.len();
+        if is_low && floor.is_none_or(|floor| surface.value() > floor.value()) {
+            floor = Some(surface);
+        }
+    }
+    let floor = floor?;
+    let mut verdict = Verdict {
+        plane: floor.plane,
+        doubt: None,
+    };
+    if 20 * floor.below > floor.columns.len() {
+        verdict = seen.with_something_below(floor);
+    }
+    let ramp = match verdict.doubt {
+        Some(HeightDoubt::Lower) => None,
+        _ => seen.ramp(floor, found),
+    };
+    if let Some((_, plane)) = ramp {
+        verdict.plane = plane;
+    }
+    verdict.doubt = verdict
+        .doubt
+        .or_else(|| seen.few_returns(floor))
+        .or_else(|| seen.around(floor))
+        .or_else(|| ramp.map(|(doubt, _)| doubt))
+        .or_else(|| seen.tilted(floor))
+        .or_else(|| seen.small(floor));
+    Some(verdict)
+}
+
+impl Seen<'_> {
+    /// Columns that have a return.
+    fn count(&self) -> u16 {
+        let has_return = |column: &&Column| column.returns.iter().any(Option::is_some);
+        self.columns.iter().filter(has_return).count() as u16
+    }
+
+    fn with_something_below(&self, floor: &Surface) -> Verdict {
+        let mut deepest: Option<&Surface> = None;
+        for other in self.surfaces {
+            let is_other = other.plane.height_m > floor.plane.height_m
+                && other.plane.off_rad(&floor.plane.up) <= PARALLEL_RAD
+                && 10 * other.columns.len() >= floor.columns.len();
+            if is_other
+                && deepest.is_none_or(|deepest| other.plane.height_m > deepest.plane.height_m)
+            {
+                deepest = Some(other);
+            }
+        }
+        match deepest {
+            Some(deepest) => Verdict {
+                plane: deepest.plane,
+                doubt: Some(HeightDoubt::Lower),
+            },
+            None => Verdict {
+                plane: floor.plane,
+                doubt: Some(HeightDoubt::SeenBelow {
+                    columns: floor.below as u16,
+                    seen: self.count(),
+                }),
+            },
+        }
+    }
+
+    /// Sixteenths of a turn with two columns of a surface.
+    fn directions(&self, surface: &Surface) -> usize {
+        let mut counts = HashMap::new();
+        for &column in &surface.columns {
+            *counts.entry(self.columns[column].direction).or_insert(0) += 1;
+        }
+        counts.values().filter(|count| **count >= 2).count()
+    }
+
+    fn few_returns(&self, floor: &Surface) -> Option<HeightDoubt> {
+        let directions = self.directions(floor);
+        let is_few =
+            floor.columns.len() < COLUMNS || directions < DIRECTIONS || floor.error_rad > ERROR_RAD;
+        is_few.then(|| HeightDoubt::FewReturns {
+            columns: floor.columns.len() as u16,
+            seen: self.count(),
+            directions: directions as u8,
+        })
+    }
+
+    /// Of the columns of a plane, those whose lowest return does not lie below it.
+    fn as_lowest(&self, plane: &Plane, columns: &HashSet<usize>) -> usize {
+        let is_lowest = |column: &&usize| {
+            let lowest = self.columns[**column].returns.iter().flatten().next();
+            lowest.is_some_and(|&lowest| !plane.is_over(lowest))
+        };
+        columns.iter().filter(is_lowest).count()
+    }
+
+    fn around(&self, floor: &Surface) -> Option<HeightDoubt> {
+        self.surfaces.iter().find_map(|other| {
+            let plane = &other.plane;
+            let is_above = plane.height_m < floor.plane.height_m
+                && plane.off_rad(&floor.plane.up) <= PARALLEL_RAD
+                && 5 * other.columns.len() >= floor.columns.len();
+            let lowest = self.as_lowest(plane, &other.columns);
+            let far_m = self.far_m(other, 0.9);
+            let is_around = is_above && 10 * lowest >= 7 * other.columns.len() && far_m > 1.0;
+            is_around.then(|| HeightDoubt::Around {
+                depth_cm: (100.0 * plane.height_m).round() as u16,
+                far_dm: (10.0 * far_m).round() as u16,
+            })
+        })
+    }
+
+    fn tilted(&self, floor: &Surface) -> Option<HeightDoubt> {
+        let tilt_rad = floor.plane.off_rad(self.up);
+        let directions = self.directions(floor);
+        (tilt_rad > TILTED_RAD && directions < ALL_AROUND).then(|| HeightDoubt::Tilted {
+            tilt_ddeg: (10.0 * tilt_rad.to_degrees()).round() as u16,
+            directions: directions as u8,
+        })
+    }
+
+    /// The doubt, and the plane that is taken.
+    fn ramp(&self, floor: &Surface, found: &Found) -> Option<(HeightDoubt, Plane)> {
+        let tilt_rad = floor.plane.off_rad(self.up);
+        if tilt_rad < RAMP_RAD {
+            return None;
+        }
+        let height_m = floor.plane.height_m;
+        let plane = self
+            .level_instead(found)
+            .into_iter()
+            .flatten()
+            .find(|plane| {
+                let columns = self.columns_of(plane);
+                let is_other = (plane.height_m - height_m).abs() > (OTHER * height_m).max(OTHER_M);
+                is_other
+                    && match plane.height_m > height_m {
+                        true => {
+                            let below = (0..self.columns.len()).filter(|column| {
+                                !columns.contains(column)
+                                    && plane.sees_below(&self.columns[*column])
+                            });
+                            4 * below.count() <= columns.len()
+                        }
+                        false => 10 * self.as_lowest(plane, &columns) >= 7 * columns.len(),
+                    }
+            })?;
+        let cm = |height_m: f64| (100.0 * height_m).round() as u16;
+        let doubt = HeightDoubt::Ramp {
+            tilted_cm: cm(height_m),
+            level_cm: cm(plane.height_m),
+            tilt_ddeg: (10.0 * tilt_rad.to_degrees()).round() as u8,
+        };
+        let is_deeper = plane.height_m > height_m;
+        Some((doubt, if is_deeper { plane } else { floor.plane }))
+    }
+
+    fn columns_of(&self, plane: &Plane) -> HashSet<usize> {
+        let on = self.pairs.iter().filter(|pair| plane.has(pair, CLOSE));
+        on.map(|pair| pair.column).collect()
+    }
+
+    /// Level planes that say what the first surface says: the deepest that is deeper, and of the
+    /// others the one with the most columns.
+    fn level_instead(&self, found: &Found) -> [Option<Plane>; 2] {
+        let Some(first) = self
+            .surfaces
+            .first()
+            .filter(|first| first.plane.off_rad(self.up) >= RAMP_RAD)
+        else {
+            return [None; 2];
+        };
+        let mut deeper: Option<Plane> = None;
+        let mut other: Option<Plane> = None;
+        for candidate in &found.level {
+            if 4 * candidate.backing <= first.columns.len() {
+                continue;
+            }
+            let Some(plane) = self.moved(candidate.plane) else {
+                continue;
+            };
+            let columns = |plane: &Plane| self.columns_of(plane).len();
+            if 2 * columns(&plane) < first.columns.len() || !self.says_it_better(&plane, first) {
+                continue;
+            }
+            if plane.height_m > first.plane.height_m {
+                if deeper.is_none_or(|deeper| plane.height_m > deeper.height_m) {
+                    deeper = Some(plane);
+                }
+            } else if other.is_none_or(|other| columns(&plane) > columns(&other)) {
+                other = Some(plane);
+            }
+        }
+        [deeper, other]
+    }
+
+    fn moved(&self, mut plane: Plane) -> Option<Plane> {
+        for bands in [1.0, CLOSE] {
+            let on = self.pairs.iter().filter(|pair| plane.has(pair, bands));
+            let level = Plane {
+                height_m: 0.0,
+                ..plane
+            };
+            let depths_m: Vec<f32> = on.map(|pair| -level.over_m(pair.middle())).collect();
+            plane.height_m = median(&depths_m)?.into();
+        }
+        Some(plane)
+    }
+
+    fn says_it_better(&self, plane: &Plane, first: &Surface) -> bool {
+        let long = self
+            .pairs
+            .iter()
+            .filter(|pair| plane.has(pair, CLOSE) && pair.apart_m >= 0.3);
+        let long: Vec<&Pair> = long.collect();
+        let rise_m = |plane: &Plane| {
+            let rise_m = |pair: &&Pair| (plane.over_m(pair.far) - plane.over_m(pair.near)).abs();
+            median(&long.iter().map(rise_m).collect::<Vec<f32>>()).unwrap_or(0.0)
+        };
+        long.len() >= FEW && rise_m(plane) < 0.7 * rise_m(&first.plane)
+    }
+
+    fn small(&self, floor: &Surface) -> Option<HeightDoubt> {
+        let far_m = self.far_m(floor, 0.98);
+        (far_m < SMALL_M).then(|| HeightDoubt::Small {
+            far_dm: (10.0 * far_m).round() as u16,
+        })
+    }
+
+    /// How far from the plumb line this share of the pairs is, metres.
+    fn far_m(&self, surface: &Surface, share: f64) -> f32 {
+        let up = single(&surface.plane.up);
+        let from_plumb_m = |pair: &Pair| pair.near.from_plumb_m2(up).max(0.0).sqrt();
+        let mut far_m: Vec<f32> = surface.pairs.iter().map(from_plumb_m).collect();
+        far_m.sort_by(f32::total_cmp);
+        far_m[(share * (far_m.len() - 1) as f64) as usize]
+    }
+}
