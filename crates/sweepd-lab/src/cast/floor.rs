@@ -4,11 +4,13 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use fastrand::Rng;
 use sweepd_core::floor::{Floor, FloorFinder, Sight};
-use sweepd_core::segment::{Config, Mount};
+use sweepd_core::segment::{Config, Mount, Segmenter};
 use sweepd_core::sensor::Model;
-use sweepd_core::sweep::SweepRef;
+use sweepd_core::sweep::height::HeightDoubt;
+use sweepd_core::sweep::layout::flags;
+use sweepd_core::sweep::{SweepMut, SweepRef};
 
-use super::{Drawn, Scene, Sector, Sensor, Solid};
+use super::{Drawn, Ground, Scene, Sector, Sensor, Solid};
 
 /// Tilts that are tried, pitch and roll, degrees.
 const TILTS_DEG: [[f64; 2]; 9] = [
@@ -178,5 +180,141 @@ fn the_robots_own_roof_is_not_the_floor() {
             panic!("{model}: no floor");
         };
         assert!(is_right(&floor, &sensor), "{model}: {floor:?}");
+    }
+}
+
+/// A sensor under way, and what the headers of its sweeps say.
+struct Drive {
+    sensor: Sensor,
+    segmenter: Segmenter,
+}
+
+impl Drive {
+    fn new(sensor: Sensor) -> Self {
+        let segmenter = Segmenter::new(Config::default()).unwrap();
+        Self { sensor, segmenter }
+    }
+
+    /// The height by the next sweep, metres, 0 where none is said, and what is in doubt.
+    fn next(&mut self, scene: &Scene) -> (f64, Option<HeightDoubt>) {
+        self.sensor.seed += 1;
+        let (mut bytes, _) = self.sensor.scan(scene, &Sector::TURN);
+        let mut sweep = SweepMut::open(bytes.as_mut()).unwrap();
+        self.segmenter.segment(&mut sweep);
+        let header = &sweep.header;
+        let doubt = HeightDoubt::of(header);
+        assert_eq!(header.has(flags::HEIGHT_IN_DOUBT), doubt.is_some());
+        assert_eq!(header.has(flags::HEIGHT_ESTIMATED), header.height_m > 0.0);
+        (header.height_m.into(), doubt)
+    }
+
+    /// Within 2 % or 2 cm.
+    fn is_right(&self, height_m: f64) -> bool {
+        (height_m - self.sensor.height_m).abs() <= (0.02 * self.sensor.height_m).max(0.02)
+    }
+}
+
+#[test]
+fn a_sensor_that_is_driven_through_a_hall_keeps_its_height() {
+    let mut hall = room(12.0, 11);
+    let mut drive = Drive::new(sensor(Model::Vlp16, 0.6, [1.0, -0.5]));
+    for number in 0..60 {
+        let (height_m, doubt) = drive.next(&hall);
+        assert!(drive.is_right(height_m), "{number}: {height_m}, {doubt:?}");
+        assert_eq!(doubt.is_none(), number >= 3, "{number}: {doubt:?}");
+        for solid in &mut hall.solids {
+            if let Solid::Cuboid { middle_m, .. } = solid {
+                middle_m[1] -= 0.1;
+            }
+        }
+    }
+}
+
+/// One turn in ten is looked at, and three that agree are believed.
+#[test]
+fn a_sensor_that_is_lifted_or_lowered_is_followed() {
+    let hall = room(12.0, 11);
+    for to_m in [0.9, 0.3] {
+        let mut drive = Drive::new(sensor(Model::Vlp16, 0.6, [0.0, 0.0]));
+        for number in 0..35 {
+            if number == 6 {
+                drive.sensor.height_m = to_m;
+            }
+            let (height_m, doubt) = drive.next(&hall);
+            match number {
+                0..6 => assert!((height_m - 0.6).abs() < 0.02, "{number}: {height_m}"),
+                // The looks are those at turns 10, 20 and 30.
+                6..31 => assert!(
+                    drive.is_right(height_m) || (height_m - 0.6).abs() < 0.02,
+                    "{number}: {height_m}, {doubt:?}"
+                ),
+                _ => assert!(drive.is_right(height_m), "{number}: {height_m}, {doubt:?}"),
+            }
+        }
+    }
+}
+
+/// Onto a ramp and over its top, as the robot sees it.
+#[test]
+fn on_the_way_up_a_ramp_the_height_is_right_or_in_doubt() {
+    const LONG_M: f64 = 8.0;
+    for slope in [0.05, 0.1, 0.17] {
+        let mut drive = Drive::new(sensor(Model::Vlp16, 0.6, [0.0, 0.0]));
+        for number in 0..200 {
+            // A tenth of a metre each turn.
+            let foot_m = 7.0 - 0.1 * f64::from(number);
+            let top_m = foot_m + LONG_M;
+            // In a frame that is level where the robot stands.
+            let corners = match (foot_m > 0.0, top_m > 0.0) {
+                (true, _) => vec![[foot_m, 0.0], [top_m, slope * LONG_M]],
+                (_, true) => vec![
+                    [foot_m - 20.0, slope * 20.0],
+                    [foot_m, 0.0],
+                    [top_m, 0.0],
+                    [top_m + 20.0, -slope * 20.0],
+                ],
+                _ => vec![[foot_m, -slope * LONG_M], [top_m, 0.0]],
+            };
+            let mut scene = Scene::of_ground(Ground(corners));
+            scene.walls_m = 15.0;
+            let (height_m, doubt) = drive.next(&scene);
+            assert!(
+                drive.is_right(height_m) || doubt.is_some(),
+                "{slope} {foot_m}: {height_m}"
+            );
+        }
+    }
+}
+
+#[test]
+fn walls_alone_are_no_floor() {
+    let walls = Scene {
+        walls_m: 3.0,
+        ..Scene::with(Vec::new())
+    };
+    let mut drive = Drive::new(sensor(Model::Vlp16, 6.0, [0.0, 0.0]));
+    for _ in 0..6 {
+        assert_eq!(drive.next(&walls), (0.0, Some(HeightDoubt::NoFloor)));
+    }
+}
+
+/// Of a deck within 1.5 m, beyond which nothing is seen.
+#[test]
+fn a_deck_alone_is_in_doubt() {
+    for half_m in [0.6, 1.0] {
+        let mut deck = Scene::with(vec![Solid::Cuboid {
+            middle_m: [0.0; 2],
+            size_m: [2.0 * half_m, 2.0 * half_m, 40.0],
+            yaw_rad: 0.0,
+        }]);
+        deck.walls_m = f64::INFINITY;
+        let mut drive = Drive::new(sensor(Model::Hdl32e, 40.3, [0.0, 0.0]));
+        for _ in 0..6 {
+            let (_, doubt) = drive.next(&deck);
+            assert!(
+                matches!(doubt, Some(HeightDoubt::Small { .. })),
+                "{doubt:?}"
+            );
+        }
     }
 }
