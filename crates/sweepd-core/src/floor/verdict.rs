@@ -91,7 +91,9 @@ pub(super) fn decide(found: &Found, seen: usize, up: &Vector3<f64>) -> Option<Ve
             far_dm: tenths(rival.far_m[0]),
         });
     }
-    if let Some((level, doubt)) = ramp(found, &floor, up) {
+    if doubts.first != Some(HeightDoubt::Lower)
+        && let Some((level, doubt)) = ramp(found, &floor, up)
+    {
         doubts.add(doubt);
         if level.plane.height_m > floor.plane.height_m {
             floor = *level;

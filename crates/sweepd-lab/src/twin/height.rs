@@ -128,7 +128,7 @@ impl Height {
             is_within(one, &now, AGREE)
                 && (one.doubt.is_none() || one.plane.height_m > before.plane.height_m)
         };
-        last.len() == AGREEING && last.iter().all(is_allowed) && !is_within(&now, &before, OTHER)
+        last.len() == AGREEING && last.iter().all(is_allowed) && !is_within(&before, &now, OTHER)
     }
 }
 
@@ -196,10 +196,10 @@ fn middle(floors: &[Verdict]) -> Option<Verdict> {
     floors.get(floors.len() / 2).copied()
 }
 
-/// Whether a floor differs from another one by no more than a share of the other's height or metres,
-/// whichever is more, and radians.
+/// Whether a floor differs from another one by no more than a share of its height or metres, whichever
+/// is more, and radians.
 fn is_within(one: &Verdict, other: &Verdict, [share, least_m, angle_rad]: [f64; 3]) -> bool {
     let apart_m = (one.plane.height_m - other.plane.height_m).abs();
-    apart_m <= (share * other.plane.height_m).max(least_m)
+    apart_m <= (share * one.plane.height_m).max(least_m)
         && one.plane.off_rad(&other.plane.up) <= angle_rad
 }

@@ -18,7 +18,7 @@ const DRAWN: usize = 200;
 /// Least area between a pair and an end of another, m².
 const AREA_M2: f64 = 0.05;
 /// About so many pairs are tried.
-const TRIED: usize = 640;
+const TRIED: usize = 1024;
 /// Planes that are refined, and the bands for it.
 const REFINED: usize = 6;
 const BANDS: [f32; 5] = [1.5, 1.2, 1.0, 0.8, 0.65];

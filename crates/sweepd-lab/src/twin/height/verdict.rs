@@ -147,7 +147,8 @@ impl Seen<'_> {
     fn around(&self, floor: &Surface) -> Option<HeightDoubt> {
         self.surfaces.iter().find_map(|other| {
             let plane = &other.plane;
-            let is_above = plane.height_m < floor.plane.height_m
+            let above_m = floor.plane.height_m - plane.height_m;
+            let is_above = above_m > (OTHER * floor.plane.height_m).max(OTHER_M)
                 && plane.off_rad(&floor.plane.up) <= PARALLEL_RAD
                 && 5 * other.columns.len() >= floor.columns.len();
             let lowest = self.as_lowest(plane, &other.columns);
