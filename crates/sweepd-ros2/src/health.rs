@@ -12,6 +12,7 @@ use sweepd_client::client::Domain;
 use sweepd_client::host::realtime_ns;
 use sweepd_messages::diagnostics::{self, DAEMON, Level, Status};
 use sweepd_ros2::{Publisher, Subscriber};
+use sweepd_sweep::Header;
 use sweepd_sweep::eye::{eye_faults, eye_sentence};
 use sweepd_sweep::height::{HEIGHT_CURE, HeightDoubt};
 
@@ -173,6 +174,19 @@ impl Values {
     }
 }
 
+/// What the header of a sweep tells: without a daemon that is asked, nothing else does.
+fn by_header(header: &Header) -> Option<(Level, String)> {
+    if let Some(sentence) = eye_sentence(header.flags) {
+        let level = match eye_faults(header.flags).any(|fault| fault.is_fault) {
+            true => Level::Error,
+            false => Level::Warn,
+        };
+        return Some((level, sentence));
+    }
+    let doubt = HeightDoubt::of(header)?.finding(header.height_m);
+    Some((Level::Warn, format!("{doubt}: {HEIGHT_CURE}")))
+}
+
 /// How a sensor is, in words: by what is worst.
 fn judge(tally: &Tally, before: &Tally, rate: f64, said: Option<&Value>) -> (Level, String) {
     if let Some(trouble) = &tally.trouble {
@@ -188,19 +202,6 @@ fn judge(tally: &Tally, before: &Tally, rate: f64, said: Option<&Value>) -> (Lev
     if said.is_some_and(|said| said["is_fault"] == true) {
         return (Level::Error, words);
     }
-    // Without a daemon that is asked, the header tells it.
-    let bits = tally.newest.as_ref().map_or(0, |(header, _)| header.flags);
-    let level = match eye_faults(bits).any(|fault| fault.is_fault) {
-        true => Level::Error,
-        false => Level::Warn,
-    };
-    let unseen = eye_sentence(bits).map(|sentence| (level, sentence));
-    let newest = tally.newest.as_ref().map(|(header, _)| header);
-    let doubt = newest.and_then(|header| Some((HeightDoubt::of(header)?, header.height_m)));
-    let doubt = doubt.map(|(doubt, height_m)| {
-        let message = format!("{}: {HEIGHT_CURE}", doubt.finding(height_m));
-        (Level::Warn, message)
-    });
     match &tally.newest {
         None => return (Level::Stale, "no sweep yet".to_owned()),
         Some((_, at)) if at.elapsed() >= PATIENCE => {
@@ -212,8 +213,9 @@ fn judge(tally: &Tally, before: &Tally, rate: f64, said: Option<&Value>) -> (Lev
     if reason.is_some() {
         return (Level::Warn, words);
     }
-    if let Some((level, sentence)) = unseen.or(doubt) {
-        return (level, sentence);
+    let newest = tally.newest.as_ref();
+    if let Some(told) = newest.and_then(|(header, _)| by_header(header)) {
+        return told;
     }
     let left_out = tally.incomplete_in_a_row;
     if left_out > USUAL_INCOMPLETE {
@@ -522,8 +524,8 @@ mod tests {
         }
     }
 
-    fn header() -> sweepd_sweep::Header {
-        sweepd_sweep::Header::new(&sweepd_sweep::layout::Shape {
+    fn header() -> Header {
+        Header::new(&sweepd_sweep::layout::Shape {
             rows: 16,
             columns_capacity: 1,
             dual: false,
