@@ -9,14 +9,16 @@ pub(super) const DEPTHS_M: [f64; 2] = [0.1, 8.0];
 /// Cosine of the greatest angle to the mount, 20 degrees.
 const TILT: f64 = 0.939_693;
 /// Sine of the steepest rise of a pair on a plane, 8 degrees.
-pub(super) const LEVEL: f32 = 0.139_173;
+pub(super) const LEVEL: f64 = 0.139_173;
 /// What lies below is looked for up to here, metres.
 const BELOW_M: f32 = 40.0;
+/// Bands below a plane that are below it.
+const BELOW: f64 = 3.0;
 /// Standard deviations: of the mount, radians, and of an end of a pair, metres.
 const MOUNT_RAD: f64 = 0.052_36;
-const END_M: f32 = 0.02;
+const END_M: f64 = 0.02;
 /// How many ends of pairs count as one.
-const ALIKE: f32 = 8.0;
+const ALIKE: f64 = 8.0;
 
 /// What is `height_m` below the sensor along `up` and square to it.
 #[derive(Clone, Copy)]
@@ -35,43 +37,47 @@ impl Plane {
         point.dot(self.up_single()) + self.height_m as f32
     }
 
-    /// How far off a return may be at this distance, metres.
-    fn band_m(&self, far_m: f32) -> f32 {
-        let height_m = self.height_m as f32;
-        ((height_m / 20.0).clamp(0.03, 0.06) + far_m / 100.0).min(height_m / 4.0)
+    /// So many bands at this distance, metres.
+    fn bands_m(&self, bands: f64, far_m: f32) -> f32 {
+        let near_m = (bands * (0.05 * self.height_m).clamp(0.03, 0.06)) as f32;
+        let most_m = (bands * (0.25 * self.height_m)) as f32;
+        (far_m * (bands * 0.01) as f32 + near_m).min(most_m)
     }
 
     /// Whether a pair is on it, within so many bands.
-    pub fn has(&self, pair: &Pair, bands: f32) -> bool {
-        let [near_m, far_m] = [pair.near, pair.far].map(|end| self.over_m(end));
-        let is_within = |over_m: f32, end: Point| over_m.abs() <= bands * self.band_m(end.far_m());
+    pub fn has(&self, pair: &Pair, bands: f64) -> bool {
+        let is_within = |end: Point| self.over_m(end).abs() <= self.bands_m(bands, end.far_m());
         let rise_m = match bands <= 0.8 {
-            true => 0.03 * pair.apart_m + 0.02,
-            false => LEVEL * bands.max(1.0) * pair.apart_m,
+            true => pair.apart_m * 0.03 + 0.02,
+            false => pair.apart_m * (LEVEL * bands.max(1.0)) as f32,
         };
-        is_within(near_m, pair.near)
-            && is_within(far_m, pair.far)
-            && (far_m - near_m).abs() <= rise_m
-            && pair.near.far_m() <= 15.0 * self.height_m as f32 + 1.0
-    }
-
-    /// Whether a point lies below it.
-    pub fn is_over(&self, point: Point) -> bool {
-        let far_m = point.far_m();
-        far_m <= BELOW_M && self.over_m(point) < -3.0 * self.band_m(far_m)
+        is_within(pair.near)
+            && is_within(pair.far)
+            && (self.over_m(pair.far) - self.over_m(pair.near)).abs() <= rise_m
+            && pair.near.far_m() <= (15.0 * self.height_m + 1.0) as f32
     }
 
     /// Whether a column sees something below it.
     pub fn sees_below(&self, column: &Column) -> bool {
-        column
-            .returns
-            .iter()
-            .flatten()
-            .any(|&point| self.is_over(point))
+        column.returns.iter().flatten().any(|point| {
+            let far_m = point.far_m();
+            far_m <= BELOW_M && self.over_m(*point) < -self.bands_m(BELOW, far_m)
+        })
+    }
+
+    /// Whether the lowest return of a column is not below it, however far.
+    pub fn is_lowest(&self, column: &Column) -> bool {
+        let lowest = column.returns.iter().flatten().next();
+        lowest.is_some_and(|lowest| {
+            let over_m = self.up.dot(&lowest.double()) + self.height_m;
+            let near_m = (0.05 * self.height_m).clamp(0.03, 0.06);
+            let band_m = near_m + 0.01 * f64::from(lowest.far_m());
+            over_m > -BELOW * band_m.min(0.25 * self.height_m)
+        })
     }
 
     pub fn is_in_bounds(&self, up: &Vector3<f64>) -> bool {
-        (DEPTHS_M[0]..=DEPTHS_M[1]).contains(&self.height_m) && self.up.dot(up) >= TILT
+        (DEPTHS_M[0]..DEPTHS_M[1]).contains(&self.height_m) && self.up.dot(up) >= TILT
     }
 
     /// The angle to a direction, radians.
@@ -106,7 +112,7 @@ pub(super) struct Fit {
 pub(super) fn fit(
     plane: &Plane,
     pairs: &[Pair],
-    bands: f32,
+    bands: f64,
     step: usize,
     mount_up: &Vector3<f64>,
 ) -> Option<Fit> {
@@ -123,12 +129,12 @@ pub(super) fn fit(
         count += step;
         for end in [pair.near, pair.far] {
             let over_m = plane.over_m(end);
-            let off = over_m / (1.05 * bands * plane.band_m(end.far_m()));
+            let off = over_m / (plane.bands_m(bands, end.far_m()) * 1.05);
             let near = (1.0 - off * off).max(0.0);
-            let weight = near * near * step as f32 / (END_M * END_M * ALIKE);
+            let weight = near * near;
             let row = [end.dot(a), end.dot(b), 1.0];
             for i in 0..3 {
-                for j in 0..3 {
+                for j in i..3 {
                     parts[number % 16][i][j] += weight * row[i] * row[j];
                 }
                 parts[number % 16][i][3] += weight * row[i] * over_m;
@@ -139,8 +145,9 @@ pub(super) fn fit(
         return None;
     }
     let sum = |i: usize, j: usize| parts.iter().map(|part| f64::from(part[i][j])).sum::<f64>();
-    let seen = Matrix3::from_fn(sum);
-    let over = Vector3::from_fn(|i, _| sum(i, 3));
+    let weight = step as f64 / (END_M * END_M * ALIKE);
+    let seen = Matrix3::from_fn(|i, j| sum(i.min(j), i.max(j))) * weight;
+    let over = Vector3::from_fn(|i, _| sum(i, 3)) * weight;
     let mut both = seen;
     let mut wanted = -over;
     for (i, direction) in along.iter().enumerate() {
@@ -148,7 +155,7 @@ pub(super) fn fit(
         wanted[i] += direction.dot(mount_up) / plane.up.dot(mount_up) / MOUNT_RAD.powi(2);
     }
     let least = Matrix3::from_diagonal(&Vector3::new(1e-3, 1e-3, 1e-6));
-    let change = (both + least).try_inverse()? * wanted;
+    let change = both.try_inverse()? * wanted;
     let up = plane.up + along[0] * change[0] + along[1] * change[1];
     let errors = (seen + least).try_inverse()?;
     Some(Fit {

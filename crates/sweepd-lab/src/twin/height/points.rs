@@ -2,6 +2,7 @@
 
 use std::f64::consts::TAU;
 
+use nalgebra::Vector3;
 use sweepd_core::segment::Config;
 use sweepd_core::sweep::SweepRef;
 
@@ -31,14 +32,14 @@ impl Point {
         Self([a[0] - b[0], a[1] - b[1], a[2] - b[2]])
     }
 
-    pub fn middle(self, other: Self) -> Self {
-        let [a, b] = [self.0, other.0];
-        Self([0, 1, 2].map(|axis| 0.5 * (a[axis] + b[axis])))
+    pub fn double(self) -> Vector3<f64> {
+        Vector3::from(self.0.map(f64::from))
     }
 
     /// The square of its distance from the plumb line, m².
-    pub fn from_plumb_m2(self, up: Self) -> f32 {
-        self.dot(self) - self.dot(up) * self.dot(up)
+    fn from_plumb_m2(self, up: Self) -> f32 {
+        let (far_m, rise_m) = (self.far_m(), self.dot(up));
+        far_m * far_m - rise_m * rise_m
     }
 
     pub fn far_m(self) -> f32 {
@@ -83,10 +84,10 @@ fn rows(sweep: &SweepRef<'_>, is_head_down: bool) -> Vec<usize> {
     if rows.len() <= ROWS {
         return rows;
     }
-    let elevation_rad = |row: usize| f64::from(sweep.beams[row].elevation_rad);
+    let elevation_rad = |row: usize| sweep.beams[row].elevation_rad;
     let first_rad = elevation_rad(rows[0]);
     let above_first_rad = |row: usize| (elevation_rad(row) - first_rad).abs();
-    let step_rad = above_first_rad(rows[rows.len() - 1]) / ROWS as f64;
+    let step_rad = above_first_rad(rows[rows.len() - 1]) / ROWS as f32;
     let mut taken = vec![rows[0]];
     for &row in &rows[1..] {
         let last_rad = above_first_rad(taken[taken.len() - 1]);
@@ -108,16 +109,23 @@ fn point(sweep: &SweepRef<'_>, config: &Config, row: usize, column: usize) -> Op
     let first_rate_rad_s = f64::from(sweep.columns[0].azimuth_rate_rad_s);
     let turn_rad =
         first_rate_rad_s * f64::from(beam.time_offset_ns) * 1e-9 - f64::from(beam.rotation_rad);
-    let (sin, cos) = (f64::from(firing.azimuth_rad) + turn_rad).sin_cos();
-    let (sin, cos) = (sin as f32, cos as f32);
-    let (sin_elevation, cos_elevation) = f64::from(beam.elevation_rad).sin_cos();
-    let flat_m = along_m * cos_elevation as f32;
+    let [sin_head, cos_head] = rounded_sin_cos(firing.azimuth_rad.into());
+    let [sin_turn, cos_turn] = rounded_sin_cos(turn_rad);
+    let sin = sin_head * cos_turn + cos_head * sin_turn;
+    let cos = cos_head * cos_turn - sin_head * sin_turn;
+    let [sin_elevation, cos_elevation] = rounded_sin_cos(beam.elevation_rad.into());
+    let flat_m = along_m * cos_elevation;
     let sideways_m = beam.horizontal_offset_m;
     Some(Point([
         flat_m * sin - cos * sideways_m,
         flat_m * cos + sin * sideways_m,
-        along_m * sin_elevation as f32 + beam.vertical_offset_m,
+        along_m * sin_elevation + beam.vertical_offset_m,
     ]))
+}
+
+fn rounded_sin_cos(angle_rad: f64) -> [f32; 2] {
+    let (sin, cos) = angle_rad.sin_cos();
+    [sin as f32, cos as f32]
 }
 
 /// Two returns of a column between which it is level.
@@ -132,8 +140,8 @@ pub(super) struct Pair {
 }
 
 impl Pair {
-    pub fn middle(&self) -> Point {
-        self.near.middle(self.far)
+    pub fn middle(&self) -> Vector3<f64> {
+        (self.near.double() + self.far.double()) * 0.5
     }
 }
 
@@ -161,12 +169,12 @@ fn pair(returns: &[Option<Point>], row: usize, column: usize, up: Point) -> Opti
             continue;
         };
         let step = far.minus(near);
-        let apart_m = step.far_m();
-        if apart_m < APART_M {
+        if step.dot(step) < APART_M * APART_M {
             continue;
         }
+        let apart_m = step.far_m();
         let is_further = far.from_plumb_m2(up) > near.from_plumb_m2(up);
-        let is_level = step.dot(up).abs() <= STEEP * apart_m;
+        let is_level = (far.dot(up) - near.dot(up)).abs() <= STEEP * apart_m;
         let pair = Pair {
             column,
             near,

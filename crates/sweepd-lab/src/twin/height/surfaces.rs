@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 use nalgebra::Vector3;
 
-use super::plane::{DEPTHS_M, Fit, LEVEL, Plane, fit, single};
+use super::plane::{DEPTHS_M, Fit, LEVEL, Plane, fit};
 use super::points::{Column, Pair, Point};
 
 /// Candidates, and surfaces, need so many pairs or columns.
@@ -21,9 +21,9 @@ const AREA_M2: f64 = 0.05;
 const TRIED: usize = 1024;
 /// Planes that are refined, and the bands for it.
 const REFINED: usize = 6;
-const BANDS: [f32; 5] = [1.5, 1.2, 1.0, 0.8, 0.65];
-pub(super) const CLOSE: f32 = 0.5;
-const REMOVED: f32 = 2.0;
+const BANDS: [f64; 5] = [1.5, 1.2, 1.0, 0.8, 0.65];
+pub(super) const CLOSE: f64 = 0.5;
+const REMOVED: f64 = 2.0;
 /// Greatest standard error of a tilt, radians.
 const ERROR_RAD: f64 = 0.017_453;
 /// Planes that differ by less are one: a share of the height, and radians.
@@ -111,45 +111,47 @@ pub(super) fn find(columns: &[Column], pairs: &[Pair], up: &Vector3<f64>) -> Fou
     found
 }
 
-/// The median.
-pub(super) fn median(values: &[f32]) -> Option<f32> {
-    let mut values = values.to_vec();
-    values.sort_by(f32::total_cmp);
-    values.get(values.len() / 2).copied()
+/// The number that has this share of the others before it.
+pub(super) fn share(values: &mut [f64], share: f64) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    let last = values.len().checked_sub(1)?;
+    Some(values[(share * last as f64) as usize])
 }
 
 /// Level planes where many pairs are about as deep.
 fn level(pairs: &[Pair], up: &Vector3<f64>) -> Vec<Candidate> {
-    let up_single = single(up);
-    let mut bins: Vec<Vec<f32>> = vec![Vec::new(); BINS];
+    let mut bins: Vec<Vec<f64>> = vec![Vec::new(); BINS];
     for pair in pairs {
-        let rise_m = pair.far.minus(pair.near).dot(up_single);
-        let depth_m = -pair.middle().dot(up_single);
-        let bin = (f64::from(depth_m) / DEPTHS_M[0]).ln() / DEEPER.ln();
-        let is_in = depth_m >= DEPTHS_M[0] as f32 && depth_m <= DEPTHS_M[1] as f32;
-        if rise_m.abs() <= LEVEL * pair.apart_m && is_in {
-            bins[bin as usize].push(depth_m);
+        let rise_m = (pair.far.double() - pair.near.double()).dot(up);
+        let depth_m = -pair.middle().dot(up);
+        let is_level = rise_m.abs() <= LEVEL * f64::from(pair.apart_m);
+        if is_level && (DEPTHS_M[0]..DEPTHS_M[1]).contains(&depth_m) {
+            let (mut bin, mut end_m) = (0, DEPTHS_M[0] * DEEPER);
+            while depth_m >= end_m {
+                bin += 1;
+                end_m *= DEEPER;
+            }
+            bins[bin].push(depth_m);
         }
     }
     let three = |bin: usize| bins[bin.saturating_sub(1)..(bin + 2).min(BINS)].concat();
     let mut planes = Vec::new();
     for bin in 0..BINS {
-        let count = three(bin).len();
-        let is_most = (bin == 0 || three(bin - 1).len() <= count)
-            && (bin + 1 == BINS || three(bin + 1).len() <= count);
-        if count >= FEW
-            && is_most
-            && let Some(height_m) = median(&three(bin))
-        {
-            planes.push(Candidate {
-                plane: Plane {
-                    up: *up,
-                    height_m: height_m.into(),
-                },
-                is_level: true,
-                backing: 0,
-            });
+        let mut depths_m = three(bin);
+        let beside = [bin.saturating_sub(1), (bin + 1).min(BINS - 1)];
+        let is_most = beside.iter().all(|bin| three(*bin).len() <= depths_m.len());
+        if depths_m.len() < FEW || !is_most {
+            continue;
         }
+        depths_m.sort_by(f64::total_cmp);
+        planes.push(Candidate {
+            plane: Plane {
+                up: *up,
+                height_m: depths_m[depths_m.len() / 2],
+            },
+            is_level: true,
+            backing: 0,
+        });
     }
     planes
 }
@@ -163,7 +165,6 @@ fn drawn(pairs: &[Pair], up: &Vector3<f64>) -> Vec<Candidate> {
             .wrapping_add(1_442_695_040_888_963_407);
         (state >> 33) as usize % from
     };
-    let double = |point: Point| Vector3::from(point.0.map(f64::from));
     let mut planes = Vec::new();
     if pairs.is_empty() {
         return planes;
@@ -171,7 +172,7 @@ fn drawn(pairs: &[Pair], up: &Vector3<f64>) -> Vec<Candidate> {
     for _ in 0..DRAWN {
         let [one, other] = [draw(pairs.len()), draw(pairs.len())].map(|number| pairs[number]);
         let end = [other.near, other.far][draw(2)];
-        let [a, b, c] = [one.near, one.far, end].map(double);
+        let [a, b, c] = [one.near, one.far, end].map(Point::double);
         let square = (b - a).cross(&(c - a));
         if square.norm() <= AREA_M2 {
             continue;
@@ -279,7 +280,7 @@ fn refine(mut plane: Plane, tried: &[Pair], step: usize, up: &Vector3<f64>) -> O
     for bands in BANDS {
         plane = fit(&plane, tried, bands, step, up)?.plane;
     }
-    Some(plane)
+    plane.is_in_bounds(up).then_some(plane)
 }
 
 /// The last fit, by all pairs; and then not too much lies below it.
@@ -289,16 +290,14 @@ fn finish(plane: &Plane, pairs: &[Pair], up: &Vector3<f64>) -> Option<Fit> {
         return None;
     }
     let plane = &mut fit.plane;
-    let mut over: Vec<f32> = pairs
+    let mut over_m: Vec<f64> = pairs
         .iter()
         .filter(|pair| plane.has(pair, 1.0))
-        .filter(|pair| pair.near.far_m() <= 8.0 * plane.height_m as f32)
-        .map(|pair| plane.over_m(pair.middle()))
+        .filter(|pair| f64::from(pair.near.far_m()) <= 8.0 * plane.height_m)
+        .map(|pair| plane.up.dot(&pair.middle()) + plane.height_m)
         .collect();
-    over.sort_by(f32::total_cmp);
-    if over.len() >= FEW {
-        let below_m = over[(0.4 * (over.len() - 1) as f64) as usize];
-        plane.height_m += f64::from(-below_m).max(0.0);
+    if over_m.len() >= FEW {
+        plane.height_m -= share(&mut over_m, 0.4).map_or(0.0, |over_m| over_m.min(0.0));
     }
     Some(fit)
 }

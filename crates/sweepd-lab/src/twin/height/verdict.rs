@@ -5,9 +5,9 @@ use std::collections::{HashMap, HashSet};
 use nalgebra::Vector3;
 use sweepd_core::sweep::height::HeightDoubt;
 
-use super::plane::{Plane, single};
+use super::plane::Plane;
 use super::points::{Column, Pair};
-use super::surfaces::{CLOSE, FEW, Found, Surface, median};
+use super::surfaces::{CLOSE, FEW, Found, Surface, share};
 
 const PARALLEL_RAD: f64 = 0.052_36;
 /// Fewer columns or directions are few returns; a direction counts with two columns.
@@ -16,7 +16,7 @@ const DIRECTIONS: usize = 3;
 const ERROR_RAD: f64 = 0.008_727;
 const TILTED_RAD: f64 = 0.034_907;
 const ALL_AROUND: usize = 7;
-const SMALL_M: f32 = 1.5;
+const SMALL_M: f64 = 1.5;
 const RAMP_RAD: f64 = 0.017_453;
 /// Heights that differ by more are not one: a share, and metres.
 const OTHER: f64 = 0.05;
@@ -49,36 +49,29 @@ pub(super) fn decide(
         up,
         surfaces: &found.surfaces,
     };
-    let mut floor: Option<&Surface> = None;
-    for surface in seen.surfaces {
-        let is_low = 4 * surface.below <= surface.columns.len();
-        if is_low && floor.is_none_or(|floor| surface.value() > floor.value()) {
-            floor = Some(surface);
+    let mut first: Option<&Surface> = None;
+    for surface in seen.surfaces.iter().filter(|surface| is_sound(surface)) {
+        if first.is_none_or(|first| surface.value() > first.value()) {
+            first = Some(surface);
         }
     }
-    let floor = floor?;
-    let mut verdict = Verdict {
-        plane: floor.plane,
-        doubt: None,
-    };
-    if 20 * floor.below > floor.columns.len() {
-        verdict = seen.with_something_below(floor);
-    }
-    let ramp = match verdict.doubt {
-        Some(HeightDoubt::Lower) => None,
-        _ => seen.ramp(floor, found),
-    };
-    if let Some((_, plane)) = ramp {
-        verdict.plane = plane;
-    }
-    verdict.doubt = verdict
-        .doubt
+    let (floor, below) = seen.with_something_below(first?);
+    let ramp = seen.ramp(floor, found);
+    let doubt = below
         .or_else(|| seen.few_returns(floor))
         .or_else(|| seen.around(floor))
         .or_else(|| ramp.map(|(doubt, _)| doubt))
         .or_else(|| seen.tilted(floor))
-        .or_else(|| seen.small(floor));
-    Some(verdict)
+        .or_else(|| small(floor));
+    Some(Verdict {
+        plane: ramp.map_or(floor.plane, |(_, plane)| plane),
+        doubt,
+    })
+}
+
+/// Whether few enough columns are below it.
+fn is_sound(surface: &Surface) -> bool {
+    4 * surface.below <= surface.columns.len()
 }
 
 impl Seen<'_> {
@@ -88,31 +81,31 @@ impl Seen<'_> {
         self.columns.iter().filter(has_return).count() as u16
     }
 
-    fn with_something_below(&self, floor: &Surface) -> Verdict {
-        let mut deepest: Option<&Surface> = None;
-        for other in self.surfaces {
-            let is_other = other.plane.height_m > floor.plane.height_m
-                && other.plane.off_rad(&floor.plane.up) <= PARALLEL_RAD
-                && 10 * other.columns.len() >= floor.columns.len();
-            if is_other
-                && deepest.is_none_or(|deepest| other.plane.height_m > deepest.plane.height_m)
-            {
-                deepest = Some(other);
+    /// The floor, which may be a deeper surface, and the doubt if more than a few columns are below
+    /// the first.
+    fn with_something_below<'a>(
+        &'a self,
+        first: &'a Surface,
+    ) -> (&'a Surface, Option<HeightDoubt>) {
+        if 20 * first.below <= first.columns.len() {
+            return (first, None);
+        }
+        let mut floor = first;
+        for other in self.surfaces.iter().filter(|other| is_sound(other)) {
+            let is_parallel = other.plane.off_rad(&first.plane.up) <= PARALLEL_RAD;
+            let is_seen = 10 * other.columns.len() >= first.columns.len();
+            if is_parallel && is_seen && other.plane.height_m > floor.plane.height_m {
+                floor = other;
             }
         }
-        match deepest {
-            Some(deepest) => Verdict {
-                plane: deepest.plane,
-                doubt: Some(HeightDoubt::Lower),
+        let doubt = match std::ptr::eq(floor, first) {
+            false => HeightDoubt::Lower,
+            true => HeightDoubt::SeenBelow {
+                columns: first.below as u16,
+                seen: self.count(),
             },
-            None => Verdict {
-                plane: floor.plane,
-                doubt: Some(HeightDoubt::SeenBelow {
-                    columns: floor.below as u16,
-                    seen: self.count(),
-                }),
-            },
-        }
+        };
+        (floor, Some(doubt))
     }
 
     /// Sixteenths of a turn with two columns of a surface.
@@ -137,10 +130,7 @@ impl Seen<'_> {
 
     /// Of the columns of a plane, those whose lowest return does not lie below it.
     fn as_lowest(&self, plane: &Plane, columns: &HashSet<usize>) -> usize {
-        let is_lowest = |column: &&usize| {
-            let lowest = self.columns[**column].returns.iter().flatten().next();
-            lowest.is_some_and(|&lowest| !plane.is_over(lowest))
-        };
+        let is_lowest = |column: &&usize| plane.is_lowest(&self.columns[**column]);
         columns.iter().filter(is_lowest).count()
     }
 
@@ -152,7 +142,7 @@ impl Seen<'_> {
                 && plane.off_rad(&floor.plane.up) <= PARALLEL_RAD
                 && 5 * other.columns.len() >= floor.columns.len();
             let lowest = self.as_lowest(plane, &other.columns);
-            let far_m = self.far_m(other, 0.9);
+            let far_m = far_m(other, 0.9);
             let is_around = is_above && 10 * lowest >= 7 * other.columns.len() && far_m > 1.0;
             is_around.then(|| HeightDoubt::Around {
                 depth_cm: (100.0 * plane.height_m).round() as u16,
@@ -227,9 +217,7 @@ impl Seen<'_> {
             if 4 * candidate.backing <= first.columns.len() {
                 continue;
             }
-            let Some(plane) = self.moved(candidate.plane) else {
-                continue;
-            };
+            let plane = self.moved(candidate.plane);
             let columns = |plane: &Plane| self.columns_of(plane).len();
             if 2 * columns(&plane) < first.columns.len() || !self.says_it_better(&plane, first) {
                 continue;
@@ -245,45 +233,43 @@ impl Seen<'_> {
         [deeper, other]
     }
 
-    fn moved(&self, mut plane: Plane) -> Option<Plane> {
+    /// A level plane in the middle of the pairs on it.
+    fn moved(&self, mut plane: Plane) -> Plane {
         for bands in [1.0, CLOSE] {
             let on = self.pairs.iter().filter(|pair| plane.has(pair, bands));
-            let level = Plane {
-                height_m: 0.0,
-                ..plane
-            };
-            let depths_m: Vec<f32> = on.map(|pair| -level.over_m(pair.middle())).collect();
-            plane.height_m = median(&depths_m)?.into();
+            let mut depths_m: Vec<f64> = on.map(|pair| -pair.middle().dot(self.up)).collect();
+            plane.height_m = share(&mut depths_m, 0.5).unwrap_or(plane.height_m);
         }
-        Some(plane)
+        plane
     }
 
     fn says_it_better(&self, plane: &Plane, first: &Surface) -> bool {
-        let long = self
-            .pairs
-            .iter()
-            .filter(|pair| plane.has(pair, CLOSE) && pair.apart_m >= 0.3);
-        let long: Vec<&Pair> = long.collect();
-        let rise_m = |plane: &Plane| {
-            let rise_m = |pair: &&Pair| (plane.over_m(pair.far) - plane.over_m(pair.near)).abs();
-            median(&long.iter().map(rise_m).collect::<Vec<f32>>()).unwrap_or(0.0)
+        let is_long = |pair: &&Pair| plane.has(pair, CLOSE) && f64::from(pair.apart_m) >= 0.3;
+        let long: Vec<&Pair> = self.pairs.iter().filter(is_long).collect();
+        let slope = |plane: &Plane| {
+            let slope = |pair: &&Pair| {
+                let step = pair.far.double() - pair.near.double();
+                plane.up.dot(&step).abs() / f64::from(pair.apart_m)
+            };
+            share(&mut long.iter().map(slope).collect::<Vec<f64>>(), 0.5).unwrap_or(0.0)
         };
-        long.len() >= FEW && rise_m(plane) < 0.7 * rise_m(&first.plane)
+        long.len() >= FEW && slope(plane) < 0.7 * slope(&first.plane)
     }
+}
 
-    fn small(&self, floor: &Surface) -> Option<HeightDoubt> {
-        let far_m = self.far_m(floor, 0.98);
-        (far_m < SMALL_M).then(|| HeightDoubt::Small {
-            far_dm: (10.0 * far_m).round() as u16,
-        })
-    }
+fn small(floor: &Surface) -> Option<HeightDoubt> {
+    let far_m = far_m(floor, 0.98);
+    (far_m < SMALL_M).then(|| HeightDoubt::Small {
+        far_dm: (10.0 * far_m).round() as u16,
+    })
+}
 
-    /// How far from the plumb line this share of the pairs is, metres.
-    fn far_m(&self, surface: &Surface, share: f64) -> f32 {
-        let up = single(&surface.plane.up);
-        let from_plumb_m = |pair: &Pair| pair.near.from_plumb_m2(up).max(0.0).sqrt();
-        let mut far_m: Vec<f32> = surface.pairs.iter().map(from_plumb_m).collect();
-        far_m.sort_by(f32::total_cmp);
-        far_m[(share * (far_m.len() - 1) as f64) as usize]
-    }
+/// How far along a surface this share of its pairs is from the point below the sensor, metres.
+fn far_m(surface: &Surface, of: f64) -> f64 {
+    let up = &surface.plane.up;
+    let near = surface.pairs.iter().map(|pair| pair.near.double());
+    let mut far_m: Vec<f64> = near
+        .map(|near| (near - up * up.dot(&near)).norm())
+        .collect();
+    share(&mut far_m, of).unwrap_or(0.0)
 }
