@@ -38,7 +38,7 @@ pub fn walk_ns(spec: &Spec, mode: ReturnMode) -> i64 {
 
 /// What came of the datagrams of one sensor.
 pub struct Run {
-    sweeps: Vec<HeapBuffer>,
+    pub sweeps: Vec<HeapBuffer>,
     pub counts: Counts,
     pub detection: Detection,
 }

@@ -17,6 +17,7 @@ mod from_cloud;
 mod golden;
 mod gps_time;
 mod hdl64e;
+mod height;
 mod leftover;
 mod matrix;
 mod mounts;

@@ -569,6 +569,24 @@ proptest! {
     }
 
     #[test]
+    fn a_height_that_is_estimated_is_that_of_the_naive_twin(scene in scenes()) {
+        let mut config = scene.config(Method::Slope);
+        config.mount.height_m = None;
+        scene.with_sweep(0, |sweep| {
+            let (height_m, doubt) = twin::Height::new(&config).labels_take(&sweep.as_ref());
+            let naive = twin::segment(&sweep.as_ref(), &config, height_m);
+            for level in levels() {
+                Segmenter::with_level(config.clone(), level).unwrap().segment(sweep);
+                let sweep = sweep.as_ref();
+                let said = (sweep.header.height_m, sweep.header.height_doubt);
+                prop_assert_eq!(said, (height_m.unwrap_or(0.0), doubt), "{:?}", level);
+                prop_assert_eq!(sweep.label, &naive[..], "{:?}", level);
+            }
+            Ok(())
+        })?;
+    }
+
+    #[test]
     fn the_paper_joins_by_beta(scene in scenes()) {
         let scene = Scene { shifted: false, one_origin: true, ..scene };
         let mut config = scene.config(Method::Paper);
