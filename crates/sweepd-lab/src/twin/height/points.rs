@@ -37,7 +37,7 @@ impl Point {
     }
 
     /// The square of its distance from the plumb line, m².
-    fn from_plumb_m2(self, up: Self) -> f32 {
+    fn away_m2(self, up: Self) -> f32 {
         let (far_m, rise_m) = (self.far_m(), self.dot(up));
         far_m * far_m - rise_m * rise_m
     }
@@ -173,7 +173,7 @@ fn pair(returns: &[Option<Point>], row: usize, column: usize, up: Point) -> Opti
             continue;
         }
         let apart_m = step.far_m();
-        let is_further = far.from_plumb_m2(up) > near.from_plumb_m2(up);
+        let is_further = far.away_m2(up) > near.away_m2(up);
         let is_level = (far.dot(up) - near.dot(up)).abs() <= STEEP * apart_m;
         let pair = Pair {
             column,
