@@ -183,7 +183,7 @@ fn a_capture_that_was_cut_is_replayed_up_to_there() {
         let path = folder.write(name, bytes);
         let ran = replay(&path, &["--json"]);
         assert_eq!(ran.code, 0, "{}", ran.stderr);
-        let lines: Vec<&str> = ran.stderr.lines().collect();
+        let lines: Vec<&str> = ran.said().collect();
         assert_eq!(lines.len(), 1, "{lines:?}");
         assert!(
             lines[0].starts_with("warning: ") && lines[0].contains("breaks off at record"),
@@ -392,7 +392,7 @@ fn a_reader_that_goes_away_is_no_error() {
         &["replay", "--partial", "--loop=9", "--json"],
     ] {
         let mut args = args.to_vec();
-        args.push("pcap_fixtures/street_vlp16_losses.pcap");
+        args.extend(["--height=1.9", "pcap_fixtures/street_vlp16_losses.pcap"]);
         let (reader, writer) = std::io::pipe().unwrap();
         drop(reader);
         let ran = Ran::of(

@@ -75,7 +75,7 @@ fn a_receiver_whose_time_cannot_be_right_is_told_and_weeks_are_added() {
         let text = inspect(&path).done();
         assert!(text.contains("GPS time") && text.contains(words), "{text}");
         let ran = replay(&path, &["--json", "--no-timing"]);
-        let warnings: Vec<&str> = ran.stderr.lines().collect();
+        let warnings: Vec<&str> = ran.said().collect();
         assert!(
             ran.code == 0 && warnings.len() == 1 && warnings[0].contains(words),
             "{}",

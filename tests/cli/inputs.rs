@@ -223,7 +223,7 @@ fn bare_packets_and_times_that_are_none_give_the_same_sweeps() {
         ),
     ] {
         let ran = replay(&folder.write(name, &bytes), &["--json"]);
-        let warnings: Vec<&str> = ran.stderr.lines().collect();
+        let warnings: Vec<&str> = ran.said().collect();
         assert!(
             warnings.len() == 1 && warnings[0].contains(says),
             "{warnings:?}"

@@ -183,7 +183,7 @@ fn theta_without_its_method_is_warned_of() {
         "[[sensor]]\nname = \"roof\"\naddress = \"192.168.1.201\"\nsegment = { method = \"paper\" }\n",
     );
     let capture = fixture("street_vlp16_losses.pcap");
-    let alone = replay(&capture, &["--theta", "12"]);
+    let alone = replay(&capture, &["--theta", "12", "--height", "1.9"]);
     assert_eq!(alone.code, 0, "{}", alone.stderr);
     assert_eq!(
         alone.stderr,

@@ -133,7 +133,7 @@ fn less_than_a_turn_names_the_option_that_gives_it() {
         "{said}"
     );
     // Where standard output is for lines, people are told on the other one.
-    let lines = ["--json", "--partial", "--force"];
+    let lines = ["--json", "--partial", "--force", "--height=1.9"];
     let ran = replay(&capture, &[&options[..], &lines].concat());
     let told = format!("note: written: 1 sweep to {places}\n");
     assert_eq!((ran.code, ran.stderr), (0, told));

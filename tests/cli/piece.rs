@@ -301,7 +301,12 @@ fn a_piece_replaces_and_leaves_what_other_outputs_do() {
     replay(&capture, &["--pcap", "empty.pcapng"]).says(&["ends in .pcap or .pcap.gz, or -"]);
     replay(&capture, &["--loop", "--pcap", empty]).says(&["--loop", "--pcap"]);
     replay(&capture, &["--json", "--pcap=-"]).says(&["give --pcap a file"]);
-    let mut piped = crate::command(&["replay", capture.to_str().unwrap(), "--pcap=-"]);
+    let mut piped = crate::command(&[
+        "replay",
+        capture.to_str().unwrap(),
+        "--pcap=-",
+        "--height=1.9",
+    ]);
     let told = String::from_utf8(piped.output().unwrap().stderr).unwrap();
     assert!(
         told.starts_with("note: written: ") && told.ends_with(" to standard output\n"),

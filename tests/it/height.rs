@@ -156,10 +156,10 @@ fn drawn_scenes() {
             *kinds.entry(doubt & 15).or_default() += 1;
         }
     }
-    // All doubts that one place can show; decks alone and a lower surface are rare.
+    // All doubts that one place can show; decks alone, and what is seen below a floor, are rare.
     let is_shown = |kind: &u32| kinds.contains_key(kind);
-    assert!([1, 2, 3, 5, 6, 7, 9].iter().all(is_shown), "{kinds:?}");
-    assert!(!IS_SLOW || [4, 8].iter().all(is_shown), "{kinds:?}");
+    assert!([1, 2, 5, 6, 7, 9].iter().all(is_shown), "{kinds:?}");
+    assert!(!IS_SLOW || [3, 4, 8].iter().all(is_shown), "{kinds:?}");
 }
 
 /// A sensor that is lifted, lowered or carried elsewhere now and then, for longer than looks are

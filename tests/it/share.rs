@@ -786,7 +786,7 @@ fn objects_come_as_they_were_told() {
     };
 
     let scene = fixtures::scene();
-    let sensor = EmitterConfig::new(Model::Vlp16, ReturnMode::Strongest).turns(3.0);
+    let sensor = EmitterConfig::new(Model::Vlp16, ReturnMode::Strongest).turns(5.0);
     let mut pipeline = Pipeline::new("192.168.1.201:2368", Config::default()).unwrap();
     pipeline.find_objects(true);
     let mut memory = Memory::new(HeapBuffers::default());

@@ -364,16 +364,21 @@ fn sight(recent: &[Option<Verdict>]) -> Sight {
 /// Why the last looks are not sure; `None` where enough of them are, and agree.
 fn doubt(newest: &[Option<Verdict>]) -> Option<HeightDoubt> {
     let sure = || newest.iter().flatten().filter(|one| one.doubt.is_none());
-    let agreed =
-        middle(newest, true).map_or(0, |middle| sure().filter(|one| agree(one, &middle)).count());
-    if agreed >= AGREEING {
-        return None;
-    }
+    let middle = middle(newest, true);
+    let agreed = middle.map_or(0, |middle| sure().filter(|one| agree(one, &middle)).count());
     let is_sure = |look: &&Option<Verdict>| look.is_some_and(|one| one.doubt.is_none());
-    match newest.iter().rev().find(|look| !is_sure(look)) {
-        Some(Some(doubtful)) => return doubtful.doubt,
-        Some(None) => return Some(HeightDoubt::Lost),
-        None => {}
+    if agreed >= AGREEING {
+        // The newest may be the first after the sensor was lifted.
+        let newest = newest.last().filter(is_sure).copied().flatten();
+        let off = newest.zip(middle).map(|(newest, middle)| {
+            let [newest_m, middle_m] = [newest, middle].map(|one| one.plane.height_m);
+            (newest_m - middle_m).abs() / (OTHER * middle_m).max(OTHER_M)
+        });
+        if off.is_none_or(|off| off <= 1.0) {
+            return None;
+        }
+    } else if let Some(unsure) = newest.iter().rev().find(|look| !is_sure(look)) {
+        return unsure.map_or(Some(HeightDoubt::Lost), |doubtful| doubtful.doubt);
     }
     let heights_m = || sure().map(|one| 100.0 * one.plane.height_m);
     Some(match newest.len() < AGREEING {
@@ -555,7 +560,10 @@ mod tests {
     #[test]
     fn a_sensor_that_was_lifted_begins_anew() {
         let looks = |then: &[Option<Verdict>]| after(&[&[sure(1.0); 12], then].concat());
-        assert_eq!(looks(&[sure(1.3); 2]), (Some(1.0), None));
+        // Until then the greater counts.
+        let unsteady = |least_cm, most_cm| Some(HeightDoubt::Unsteady { least_cm, most_cm });
+        assert_eq!(looks(&[sure(1.3); 2]), (Some(1.3), unsteady(100, 130)));
+        assert_eq!(looks(&[sure(0.7); 2]), (Some(1.0), unsteady(70, 100)));
         assert_eq!(looks(&[sure(1.3); 3]), (Some(1.3), None));
         assert_eq!(looks(&[sure(0.7); 3]), (Some(0.7), None));
         // Within 5 %, it is the same.

@@ -60,7 +60,7 @@ pub enum HeightDoubt {
     },
     /// Few sweeps were looked at so far.
     FewSweeps {
-        /// How many.
+        /// Whole turns, less than three.
         sweeps: u8,
     },
     /// The last sweeps do not agree.
@@ -231,6 +231,7 @@ impl fmt::Display for HeightDoubt {
                 "it ends {:.1} m from the sensor: it may be the robot's deck, or a table",
                 tenth(far_dm)
             ),
+            Self::FewSweeps { sweeps: 0 } => f.write_str("no whole turn shows it"),
             Self::FewSweeps { sweeps: 1 } => f.write_str("one sweep alone shows it"),
             Self::FewSweeps { sweeps } => write!(f, "{sweeps} sweeps alone show it"),
             Self::Unsteady { least_cm, most_cm } => write!(

@@ -22,7 +22,7 @@ const LEAST_COS: f64 = 0.939_693;
 /// Fewest columns with a pair on a surface.
 pub(super) const LEAST_COLUMNS: usize = 10;
 /// Surfaces that are looked for.
-const SURFACES: usize = 4;
+const SURFACES: usize = 3;
 /// Tilted planes that are tried, on so many pairs.
 const DRAWS: usize = 200;
 const TRIED: usize = 1024;

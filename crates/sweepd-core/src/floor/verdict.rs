@@ -48,10 +48,10 @@ pub(super) fn decide(found: &Found, seen: usize, up: &Vector3<f64>) -> Option<Ve
     let first = surfaces().filter(|one| is_sound(one)).fold(None, better)?;
     let mut doubts = Doubts::default();
     let mut floor = *first;
+    // Whatever lies below it, contradicted or not: in doubt the greater height counts.
     if floor.below as f64 > BELOW_DOUBT * floor.columns as f64 {
         let lower = surfaces().filter(|one| {
-            is_sound(one)
-                && one.plane.height_m > first.plane.height_m
+            one.plane.height_m > first.plane.height_m
                 && is_parallel(one, first)
                 && one.columns as f64 >= LOWER_SHARE * first.columns as f64
         });
@@ -91,9 +91,7 @@ pub(super) fn decide(found: &Found, seen: usize, up: &Vector3<f64>) -> Option<Ve
             far_dm: tenths(rival.far_m[0]),
         });
     }
-    if doubts.first != Some(HeightDoubt::Lower)
-        && let Some((level, doubt)) = ramp(found, &floor, up)
-    {
+    if let Some((level, doubt)) = ramp(found, &floor, up) {
         doubts.add(doubt);
         if level.plane.height_m > floor.plane.height_m {
             floor = *level;

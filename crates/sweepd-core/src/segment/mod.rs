@@ -207,6 +207,7 @@ impl Segmenter {
             || ready == 0
             || self.spoilt == Some(sequence)
             || self.estimates_height && self.floor().1 == 0
+            || self.estimates_height && self.height_m_of_next().is_none()
         {
             return false;
         }

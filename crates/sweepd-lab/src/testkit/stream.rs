@@ -208,6 +208,7 @@ pub fn unit() -> Calibration {
 pub fn config() -> Config {
     let mut config = Config::default();
     (config.segment.min_range_m, config.segment.max_range_m) = (0.0, 0.01);
+    config.segment.mount.height_m = Some(1.0);
     config
 }
 

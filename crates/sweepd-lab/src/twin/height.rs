@@ -156,7 +156,14 @@ fn doubt(newest: &[Option<Verdict>]) -> Option<HeightDoubt> {
             .count()
             >= AGREEING
     {
-        return None;
+        let is_other = |one: &Verdict| {
+            let apart_m = (one.plane.height_m - middle.plane.height_m).abs();
+            one.doubt.is_none() && apart_m > (OTHER[0] * middle.plane.height_m).max(OTHER[1])
+        };
+        match newest.last() {
+            Some(Some(last)) if is_other(last) => return Some(unsteady(&sure)),
+            _ => return None,
+        }
     }
     for look in newest.iter().rev() {
         match look {
@@ -172,11 +179,15 @@ fn doubt(newest: &[Option<Verdict>]) -> Option<HeightDoubt> {
             sweeps: newest.len() as u8,
         });
     }
+    Some(unsteady(&sure))
+}
+
+fn unsteady(sure: &[Verdict]) -> HeightDoubt {
     let cm = |one: &Verdict| (100.0 * one.plane.height_m).round() as u16;
-    Some(HeightDoubt::Unsteady {
+    HeightDoubt::Unsteady {
         least_cm: sure.iter().map(cm).min().unwrap_or(0),
         most_cm: sure.iter().map(cm).max().unwrap_or(0),
-    })
+    }
 }
 
 fn floors(looks: &[Option<Verdict>]) -> Vec<Verdict> {

@@ -1,5 +1,5 @@
 //! The naive twin of the default segmentation: the same labels, written from "The method"
-//! in docs/segmentation.md and from docs/rules.md alone.
+//! in docs/segmentation.md and from docs/rules.md.
 //!
 //! It states the rules of both pages as directly as they can be said: queues and `Vec`s of pixels,
 //! plain loops, one number at a time. Of `sweepd_core::segment` it takes the [`Config`], whose mask

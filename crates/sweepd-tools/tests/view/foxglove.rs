@@ -64,7 +64,7 @@ fn status(viewer: &mut Page) -> String {
 
 #[test]
 fn a_viewer_gets_what_it_subscribes_to_and_nothing_else() {
-    let view = View::start(&[&fixture("street_vlp16.pcap.gz")]);
+    let view = View::start(&[&fixture("street_vlp16.pcap.gz"), "--height=1.9"]);
     let mut page = view.page();
     page.pause();
     let first = page.seek(0);

@@ -9,7 +9,7 @@ use super::points::{Column, Pair, Point};
 
 /// Candidates, and surfaces, need so many pairs or columns.
 pub(super) const FEW: usize = 10;
-const SURFACES: usize = 4;
+const SURFACES: usize = 3;
 /// Bins of depths, each so many times as deep as the one before.
 const BINS: usize = 76;
 const DEEPER: f64 = 1.06;

@@ -91,7 +91,7 @@ impl Seen<'_> {
             return (first, None);
         }
         let mut floor = first;
-        for other in self.surfaces.iter().filter(|other| is_sound(other)) {
+        for other in self.surfaces {
             let is_parallel = other.plane.off_rad(&first.plane.up) <= PARALLEL_RAD;
             let is_seen = 10 * other.columns.len() >= first.columns.len();
             if is_parallel && is_seen && other.plane.height_m > floor.plane.height_m {
