@@ -229,7 +229,8 @@ fn objects_of_captures_are_the_rows_of_their_tables() {
             all += run.end().0;
         }
     }
-    assert!(all.early > all.with_sweep, "{all:?}");
+    // Most captures are short, and of the first turns the height is not known before their end.
+    assert!(2 * all.early > all.with_sweep, "{all:?}");
     let has_captures = data_dir_if_any().is_some();
     assert!(!has_captures || all.around_sensor > 30, "{all:?}");
 }

@@ -14,8 +14,9 @@ const BELOW_DOUBT: f64 = 0.05;
 const PARALLEL_RAD: f64 = 0.052_36;
 /// A parallel surface below is the floor below a deck or a table if it has this share of its columns.
 const LOWER_SHARE: f64 = 0.1;
-/// A parallel surface above is a rival if it has this share of the columns of the floor, reaches so
-/// far, metres, and has nothing below it in such a share of its own: before a table, floor is seen.
+/// A parallel surface above is a rival if it has this share of the columns of the floor, no fewer than
+/// are below it, reaches so far, metres, and has nothing below it in such a share of its own: before a
+/// table, floor is seen.
 const RIVAL_SHARE: f64 = 0.2;
 const RIVAL_M: f64 = 1.0;
 const FIRST: f64 = 0.7;
@@ -83,6 +84,7 @@ pub(super) fn decide(found: &Found, seen: usize, up: &Vector3<f64>) -> Option<Ve
             && is_elsewhere(one, floor.plane.height_m)
             && is_parallel(one, &floor)
             && one.columns as f64 >= RIVAL_SHARE * floor.columns as f64
+            && one.columns >= one.below
             && one.far_m[0] > RIVAL_M
             && one.first >= FIRST
     }) {

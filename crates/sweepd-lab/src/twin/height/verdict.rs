@@ -140,7 +140,8 @@ impl Seen<'_> {
             let above_m = floor.plane.height_m - plane.height_m;
             let is_above = above_m > (OTHER * floor.plane.height_m).max(OTHER_M)
                 && plane.off_rad(&floor.plane.up) <= PARALLEL_RAD
-                && 5 * other.columns.len() >= floor.columns.len();
+                && 5 * other.columns.len() >= floor.columns.len()
+                && other.columns.len() >= other.below;
             let lowest = self.as_lowest(plane, &other.columns);
             let far_m = far_m(other, 0.9);
             let is_around = is_above && 10 * lowest >= 7 * other.columns.len() && far_m > 1.0;
