@@ -5,7 +5,7 @@
 //! from ceilings. So columns vote: what is a little over a floor is nearer than walls.
 
 use std::f32::consts::PI;
-use std::f64::consts::TAU;
+use std::f64::consts::{FRAC_PI_6, TAU};
 
 use nalgebra::{Rotation3, Vector3};
 
@@ -32,7 +32,7 @@ const VOTES_TIMES: u64 = 3;
 
 /// Where neither side has a surface, a floor is looked for below mounts that lean by so much from the
 /// one that is told, in so many directions: it is found up to 50 degrees off.
-const LEAN_RAD: f64 = 0.523_599;
+const LEAN_RAD: f64 = FRAC_PI_6;
 const LEANS: usize = 8;
 
 /// Looks for a floor on both sides of a sensor, sweep after sweep.
