@@ -11,8 +11,10 @@ use sweepd::pipeline;
 use sweepd::segment::{Config, Mount, Segmenter};
 use sweepd::sensor::Model;
 use sweepd::sweep::SweepMut;
+use sweepd::sweep::height::HeightDoubt;
 use sweepd::sweep::layout::Header;
 use sweepd::sweep::layout::flags::{HEIGHT_ESTIMATED, HEIGHT_IN_DOUBT};
+use sweepd_core::floor::{FloorFinder, Sight};
 use sweepd_lab::cast::{Drawn, Ground, Scene, Sector, Sensor, Solid};
 use sweepd_lab::cloud::{COLUMNS, CloudProjector, points};
 use sweepd_lab::simulate::Setting;
@@ -255,6 +257,96 @@ fn simulated_sensors() {
                     );
                 }
             }
+        }
+    }
+}
+
+/// How many heights by one turn are right, by doubt, and which are neither right nor in doubt.
+#[derive(Default)]
+struct Found {
+    of: usize,
+    right: usize,
+    sure: usize,
+    wrong: Vec<String>,
+}
+
+/// The simulator knows the height. Right is within 5 % or 3 cm.
+#[test]
+fn heights_of_simulated_scenes_are_right_or_in_doubt() {
+    let models = [
+        Model::Vlp16,
+        Model::PuckHiRes,
+        Model::Vlp32c,
+        Model::Hdl32e,
+        Model::Hdl64eS2,
+        Model::Vls128,
+    ];
+    let mut found = [Found::default(), Found::default()];
+    for setting in Setting::ALL {
+        for model in &models[..if IS_SLOW { models.len() } else { 2 }] {
+            for height_m in [0.3, 0.8, 1.2, 2.0] {
+                for (found, roll_rad) in found.iter_mut().zip([0.0, PI as f32]) {
+                    let mount = Mount {
+                        height_m: Some(height_m),
+                        pitch_rad: 0.0,
+                        roll_rad,
+                    };
+                    // Most are wrong where walls are near.
+                    let is_corridor = setting.name() == "corridor";
+                    let is_possible = setting.mounted(&setting.build(2), 0, &mount).is_ok();
+                    if is_possible && (IS_SLOW || is_corridor) {
+                        let said = Mount {
+                            height_m: None,
+                            ..mount
+                        };
+                        let place = format!("{model}, {}, {height_m} m", setting.name());
+                        found.add(&one_turn(*model, setting, &mount, said), height_m, place);
+                    }
+                }
+            }
+        }
+    }
+    for (found, way) in found.iter().zip(["upright", "head down"]) {
+        let Found {
+            of,
+            right,
+            sure,
+            wrong,
+        } = found;
+        println!("{way}: {right} of {of} right, {sure} of these sure; wrong and sure: {wrong:?}");
+    }
+    let [upright, head_down] = &found;
+    assert!(upright.wrong.is_empty() && head_down.wrong.len() <= 1);
+    assert!(100 * upright.right >= 95 * upright.of && 100 * upright.sure >= 93 * upright.of);
+    assert!(100 * head_down.right >= 88 * head_down.of);
+}
+
+/// The floor by the first whole turn.
+fn one_turn(model: Model, setting: Setting, mount: &Mount, said: Mount) -> Sight {
+    let config = Config {
+        mount: said,
+        ..Config::default()
+    };
+    let run = Simulated::mounted(model, setting, 2, 1.3, mount).run(&config);
+    let mut finder = FloorFinder::new(&config);
+    for sweep in run.views() {
+        finder.look(&sweep);
+    }
+    assert_eq!(finder.looks(), 1, "a whole turn");
+    finder.sight()
+}
+
+impl Found {
+    fn add(&mut self, sight: &Sight, height_m: f32, place: String) {
+        let found_m = sight.height_m().unwrap_or(0.0);
+        let is_right = (found_m - height_m).abs() <= (0.05 * height_m).max(0.03);
+        // One turn is one.
+        let is_sure = matches!(sight.doubt(), Some(HeightDoubt::FewSweeps { .. }));
+        self.of += 1;
+        self.right += usize::from(is_right);
+        self.sure += usize::from(is_right && is_sure);
+        if !is_right && is_sure {
+            self.wrong.push(format!("{place}: {found_m}"));
         }
     }
 }
