@@ -22,7 +22,7 @@ const RIVAL_M: f64 = 1.0;
 const FIRST: f64 = 0.7;
 /// Fewest columns and directions of a floor that is sure, and the greatest standard error of its
 /// tilt, radians: half a degree.
-const SURE_COLUMNS: usize = 15;
+const SURE_COLUMNS: usize = 30;
 const SURE_DIRECTIONS: usize = 3;
 const SURE_TILT_ERROR_RAD: f64 = 0.008_727;
 /// A floor that is tilted by more against the mount must be seen in so many directions: 2 degrees.

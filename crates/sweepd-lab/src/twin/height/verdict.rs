@@ -11,7 +11,7 @@ use super::surfaces::{CLOSE, FEW, Found, Surface, share};
 
 const PARALLEL_RAD: f64 = 0.052_36;
 /// Fewer columns or directions are few returns; a direction counts with two columns.
-const COLUMNS: usize = 15;
+const COLUMNS: usize = 30;
 const DIRECTIONS: usize = 3;
 const ERROR_RAD: f64 = 0.008_727;
 const TILTED_RAD: f64 = 0.034_907;
