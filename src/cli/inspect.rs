@@ -114,7 +114,12 @@ pub fn run(args: &Args) -> Result<(), CliError> {
 impl Args {
     /// What is kept of a sensor of this section.
     fn begin(&self, section: &Section) -> Result<DataStream, CliError> {
-        let is_mounted = section.configured.mount != Mount::default();
+        let Mount {
+            pitch_rad,
+            roll_rad,
+            ..
+        } = section.configured.mount;
+        let is_mounted = [pitch_rad, roll_rad] != [0.0; 2];
         let config = &section.sensor.pipeline;
         Ok(DataStream {
             given: config.model,

@@ -28,6 +28,7 @@ use sweepd_client::client::{Client, Domain, SweepRef};
 use sweepd_client::host::{monotonic_ns, realtime_ns};
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::eye::eye_sentence;
+use sweepd_core::sweep::height::HeightDoubt;
 use sweepd_core::sweep::layout::flags;
 use sweepd_core::sweep::{Header, Pose};
 
@@ -123,6 +124,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         seen: 0,
         eye: 0,
         in_doubt: false,
+        lacks_floor: false,
     }
     .run(&over)
     .map_err(|error| ended(error, &args.output.places()))
@@ -152,6 +154,8 @@ struct Watch<'a> {
     eye: u32,
     /// Whether the height of the sensor was in doubt.
     in_doubt: bool,
+    /// Whether no floor was seen.
+    lacks_floor: bool,
 }
 
 impl Watch<'_> {
@@ -292,11 +296,15 @@ impl Watch<'_> {
 
     /// Reports once that the height of the sensor is in doubt, and once that it is not any more.
     fn note_doubt(&mut self, header: &Header) {
-        let doubt = floor::of_header(header);
+        // The first sweeps are always in doubt.
+        let is_begun = !matches!(HeightDoubt::of(header), Some(HeightDoubt::FewSweeps { .. }));
+        let doubt = floor::of_header(header).filter(|_| is_begun);
+        let is_none = doubt.is_some() && header.height_m == 0.0;
         let was_in_doubt = std::mem::replace(&mut self.in_doubt, doubt.is_some());
+        let was_none = std::mem::replace(&mut self.lacks_floor, is_none);
         let height_m = header.height_m;
         let text = match doubt {
-            Some(finding) if !was_in_doubt => finding.to_string(),
+            Some(finding) if !was_in_doubt || is_none != was_none => finding.to_string(),
             None if was_in_doubt => format!("the height is no longer in doubt: {height_m:.2} m"),
             _ => return,
         };

@@ -13,6 +13,7 @@ use crate::sensor_settings::FieldOfView;
 use sweepd_client::host::{monotonic_ns, realtime_ns};
 use sweepd_core::assemble::{GpsDoubt, GpsTime, vouched_utc_ns};
 use sweepd_core::buffers::{Buffers, Memory};
+use sweepd_core::floor::Sight;
 use sweepd_core::pipeline::{self, Arrival, Counts, Fault, Notice, Options, Pipeline};
 use sweepd_core::segment::ConfigError;
 use sweepd_core::sensor::detect;
@@ -348,7 +349,11 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     fn tell_floor(&mut self) {
         let status = self.pipeline.status();
         let (sight, looks) = (status.floor, status.floor_looks);
-        if std::mem::replace(&mut self.floor_looks, looks) != looks && looks >= FLOOR_LOOKS {
+        let before = std::mem::replace(&mut self.floor_looks, looks);
+        // Another sensor has taken its place, if there were fewer.
+        let is_other = looks < before;
+        if is_other || looks != before && looks >= FLOOR_LOOKS {
+            let sight = if is_other { Sight::Unknown } else { sight };
             let seen = floor::Seen::new(sight, &self.config.segment);
             self.report(Event::Floor(seen));
         }

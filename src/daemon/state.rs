@@ -606,6 +606,9 @@ impl Watcher {
     /// by it and whether that is how it is set, or what is in doubt.
     pub fn see_floor(&mut self, seen: floor::Seen) -> Option<Message> {
         self.floor = seen;
+        if seen.sight == Sight::Unknown {
+            self.told_floor = Sight::Unknown;
+        }
         // Once is enough to tell that a mount cannot be checked.
         let is_unchecked = !seen.is_estimated && seen.sight.doubt().is_some();
         let is_told = is_unchecked && self.told_floor != Sight::Unknown;

@@ -250,9 +250,10 @@ impl Trial {
         }
         let mount = self.mount_of(header);
         let floor = self.floor.get_or_insert_with(|| {
+            let set = self.config.as_ref().map(|config| config.segment.clone());
             FloorFinder::new(&segment::Config {
                 mount,
-                ..Default::default()
+                ..set.unwrap_or_default()
             })
         });
         floor.look(sweep);

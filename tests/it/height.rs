@@ -319,6 +319,7 @@ fn heights_of_simulated_scenes_are_right_or_in_doubt() {
     let least_percent = if IS_SLOW { [95, 83] } else { [75, 60] };
     for (found, least_percent) in found.iter().zip(least_percent) {
         assert!(100 * found.right >= least_percent * found.of);
+        assert!(100 * found.sure >= (least_percent - 2) * found.of);
     }
     // The street is bent.
     let [upright, head_down] = found.map(|found| found.wrong);

@@ -37,7 +37,7 @@ use verdict::Verdict;
 /// Points in a vector.
 const LANES: usize = 16;
 /// Sweeps that a floor is the median of.
-pub const LOOKS: usize = 15;
+const LOOKS: usize = 15;
 /// The first whole turns are looked at, and then one in so many.
 const FIRST_LOOKS: u64 = 5;
 const EVERY: u64 = 10;
@@ -87,9 +87,9 @@ pub enum Sight {
     /// No sweep was looked at.
     #[default]
     Unknown,
-    /// Most sweeps show none.
+    /// None of the last sweeps shows one that counts.
     NoFloor,
-    /// Most sweeps show it.
+    /// Some show it; its doubt says how sure it is.
     Floor(Floor),
 }
 
@@ -261,11 +261,6 @@ impl FloorFinder {
         self.looks
     }
 
-    /// Whether the first looks are over, after which they become rare.
-    pub fn is_settled(&self) -> bool {
-        self.looks >= FIRST_LOOKS
-    }
-
     /// What the last sweeps show.
     pub fn sight(&self) -> Sight {
         self.sight
@@ -309,7 +304,7 @@ fn one_look(level: Level, grid: &Grid, search: &mut Search, up: &Vector3<f64>) -
 /// The floor by some looks, the oldest first.
 fn sight(recent: &[Option<Verdict>]) -> Sight {
     let newest = &recent[recent.len().saturating_sub(NEWEST)..];
-    let doubt = doubt(newest);
+    let doubt = doubt(recent);
     let sure = middle(recent, true);
     let mut floor = sure;
     if doubt.is_some() {
@@ -361,35 +356,61 @@ fn sight(recent: &[Option<Verdict>]) -> Sight {
     })
 }
 
-/// Why the last looks are not sure; `None` where enough of them are, and agree.
-fn doubt(newest: &[Option<Verdict>]) -> Option<HeightDoubt> {
+/// Why the height by some looks is not sure; `None` where enough of the last agree, and none says
+/// that it lies elsewhere by now.
+fn doubt(recent: &[Option<Verdict>]) -> Option<HeightDoubt> {
+    let newest = &recent[recent.len().saturating_sub(NEWEST)..];
     let sure = || newest.iter().flatten().filter(|one| one.doubt.is_none());
-    let middle = middle(newest, true);
-    let agreed = middle.map_or(0, |middle| sure().filter(|one| agree(one, &middle)).count());
-    let is_sure = |look: &&Option<Verdict>| look.is_some_and(|one| one.doubt.is_none());
-    if agreed >= AGREEING {
-        // The newest may be the first after the sensor was lifted.
-        let newest = newest.last().filter(is_sure).copied().flatten();
-        let off = newest.zip(middle).map(|(newest, middle)| {
-            let [newest_m, middle_m] = [newest, middle].map(|one| one.plane.height_m);
-            (newest_m - middle_m).abs() / (OTHER * middle_m).max(OTHER_M)
-        });
-        if off.is_none_or(|off| off <= 1.0) {
-            return None;
-        }
-    } else if let Some(unsure) = newest.iter().rev().find(|look| !is_sure(look)) {
-        return unsure.map_or(Some(HeightDoubt::Lost), |doubtful| doubtful.doubt);
+    let agreed = middle(newest, true)
+        .filter(|middle| sure().filter(|one| agree(one, middle)).count() >= AGREEING);
+    let Some((agreed, height)) = agreed.zip(middle(recent, true)) else {
+        return not_agreed(newest);
+    };
+    let other_m = (OTHER * height.plane.height_m).max(OTHER_M);
+    let deeper_m = |one: &Verdict| one.plane.height_m - height.plane.height_m;
+    let deeper = || {
+        newest
+            .iter()
+            .flatten()
+            .filter(|one| deeper_m(one) > other_m)
+    };
+    let last = newest.last().and_then(Option::as_ref);
+    let is_last_off = last.is_some_and(|last| match last.doubt {
+        None => deeper_m(last).abs() > other_m,
+        Some(_) => deeper_m(last) > other_m,
+    });
+    // The sensor was lifted: until three looks agree on it, or the median does.
+    if is_last_off || deeper().count() >= 2 || deeper_m(&agreed).abs() > other_m {
+        let doubtful = deeper().filter_map(|one| one.doubt).next_back();
+        return doubtful.or(Some(unsteady(newest)));
     }
-    let heights_m = || sure().map(|one| 100.0 * one.plane.height_m);
-    Some(match newest.len() < AGREEING {
-        true => HeightDoubt::FewSweeps {
+    None
+}
+
+/// The doubt of looks too few of which agree.
+fn not_agreed(newest: &[Option<Verdict>]) -> Option<HeightDoubt> {
+    let is_sure = |look: &&Option<Verdict>| look.is_some_and(|one| one.doubt.is_none());
+    match newest.iter().rev().find(|look| !is_sure(look)) {
+        Some(Some(doubtful)) => doubtful.doubt,
+        Some(None) => Some(HeightDoubt::Lost),
+        None if newest.len() < AGREEING => Some(HeightDoubt::FewSweeps {
             sweeps: newest.len() as u8,
-        },
-        false => HeightDoubt::Unsteady {
-            least_cm: heights_m().fold(f64::INFINITY, f64::min).round() as u16,
-            most_cm: heights_m().fold(0.0, f64::max).round() as u16,
-        },
-    })
+        }),
+        None => Some(unsteady(newest)),
+    }
+}
+
+fn unsteady(newest: &[Option<Verdict>]) -> HeightDoubt {
+    let heights_cm = || {
+        newest
+            .iter()
+            .flatten()
+            .map(|one| 100.0 * one.plane.height_m)
+    };
+    HeightDoubt::Unsteady {
+        least_cm: heights_cm().fold(f64::INFINITY, f64::min).round() as u16,
+        most_cm: heights_cm().fold(0.0, f64::max).round() as u16,
+    }
 }
 
 /// The look in the middle by height, of all that show a floor or of the sure ones.
@@ -564,6 +585,26 @@ mod tests {
         let unsteady = |least_cm, most_cm| Some(HeightDoubt::Unsteady { least_cm, most_cm });
         assert_eq!(looks(&[sure(1.3); 2]), (Some(1.3), unsteady(100, 130)));
         assert_eq!(looks(&[sure(0.7); 2]), (Some(1.0), unsteady(70, 100)));
+        // Looks that see nothing in between do not bring the former height back.
+        for count in 1..=8 {
+            let then = [
+                sure(1.5),
+                sure(1.5),
+                None,
+                sure(1.5),
+                None,
+                sure(1.5),
+                sure(1.5),
+                None,
+            ];
+            let (height_m, doubt) = looks(&then[..count]);
+            assert!(
+                height_m == Some(1.5) && doubt.is_some(),
+                "{count}: {height_m:?} {doubt:?}"
+            );
+        }
+        // Nor those that are in doubt, at once.
+        assert_eq!(looks(&[seen(1.5, Some(FEW))]), (Some(1.5), Some(FEW)));
         assert_eq!(looks(&[sure(1.3); 3]), (Some(1.3), None));
         assert_eq!(looks(&[sure(0.7); 3]), (Some(0.7), None));
         // Within 5 %, it is the same.

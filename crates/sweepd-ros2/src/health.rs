@@ -14,7 +14,7 @@ use sweepd_messages::diagnostics::{self, DAEMON, Level, Status};
 use sweepd_ros2::{Publisher, Subscriber};
 use sweepd_sweep::Header;
 use sweepd_sweep::eye::{eye_faults, eye_sentence};
-use sweepd_sweep::height::{HEIGHT_CURE, HeightDoubt};
+use sweepd_sweep::height::HeightDoubt;
 
 use crate::bridge::{Bridge, PATIENCE, Tally, Topic, USUAL_NOT_DESKEWED};
 
@@ -176,15 +176,16 @@ impl Values {
 
 /// What the header of a sweep tells: without a daemon that is asked, nothing else does.
 fn by_header(header: &Header) -> Option<(Level, String)> {
-    if let Some(sentence) = eye_sentence(header.flags) {
-        let level = match eye_faults(header.flags).any(|fault| fault.is_fault) {
-            true => Level::Error,
-            false => Level::Warn,
-        };
-        return Some((level, sentence));
-    }
-    let doubt = HeightDoubt::of(header)?.finding(header.height_m);
-    Some((Level::Warn, format!("{doubt}: {HEIGHT_CURE}")))
+    let level = match eye_faults(header.flags).any(|fault| fault.is_fault) {
+        true => Level::Error,
+        false => Level::Warn,
+    };
+    let doubt = HeightDoubt::of(header).map(|doubt| doubt.sentence(header.height_m));
+    let said: Vec<String> = eye_sentence(header.flags)
+        .into_iter()
+        .chain(doubt)
+        .collect();
+    (!said.is_empty()).then(|| (level, said.join("; ")))
 }
 
 /// How a sensor is, in words: by what is worst.

@@ -21,6 +21,11 @@ pub enum HeightDoubt {
         /// Sixteenths of a turn that see it.
         directions: u8,
     },
+    /// The returns do not tell how it is tilted.
+    TiltError {
+        /// Standard error of the tilt, tenths of a degree.
+        error_ddeg: u16,
+    },
     /// More than a few columns see something below it.
     SeenBelow {
         /// These columns.
@@ -70,7 +75,7 @@ pub enum HeightDoubt {
         /// Greatest depth by them, centimetres.
         most_cm: u16,
     },
-    /// The last sweeps no longer show it.
+    /// Too few of the last sweeps show it.
     Lost,
     /// A doubt that this version does not know.
     Unknown,
@@ -131,6 +136,7 @@ impl HeightDoubt {
                 most_cm: b,
             },
             11 => Self::Lost,
+            12 => Self::TiltError { error_ddeg: a },
             _ => Self::Unknown,
         })
     }
@@ -161,6 +167,7 @@ impl HeightDoubt {
             Self::FewSweeps { sweeps } => (9, [0, 0, sweeps.into()]),
             Self::Unsteady { least_cm, most_cm } => (10, [least_cm, most_cm, 0]),
             Self::Lost => (11, [0; 3]),
+            Self::TiltError { error_ddeg } => (12, [error_ddeg, 0, 0]),
             Self::Unknown => (15, [0; 3]),
         };
         let mut word = kind;
@@ -170,6 +177,11 @@ impl HeightDoubt {
             at += bits;
         }
         word
+    }
+
+    /// The finding, and what to do about it.
+    pub fn sentence(self, height_m: f32) -> String {
+        format!("{}: {HEIGHT_CURE}", self.finding(height_m))
     }
 
     /// The finding at every output, for the height that labels take, metres; [`HEIGHT_CURE`] says
@@ -240,7 +252,12 @@ impl fmt::Display for HeightDoubt {
                 m(least_cm),
                 m(most_cm)
             ),
-            Self::Lost => f.write_str("the last sweeps do not show it"),
+            Self::Lost => f.write_str("not all of the last sweeps show it"),
+            Self::TiltError { error_ddeg } => write!(
+                f,
+                "its tilt is certain to {:.1} degrees alone",
+                tenth(error_ddeg)
+            ),
             Self::Unknown => f.write_str("this version does not know the reason"),
         }
     }

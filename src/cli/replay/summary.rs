@@ -74,9 +74,8 @@ impl Sums {
             roll_rad: header.roll_rad,
         };
         self.on_side = mount.stance() == Stance::OnSide;
-        if header.height_m > 0.0 {
-            self.height = Some((header.height_m, header.has(flags::HEIGHT_ESTIMATED)));
-        }
+        let height_m = Some(header.height_m).filter(|height_m| *height_m > 0.0);
+        self.height = height_m.map(|height_m| (height_m, header.has(flags::HEIGHT_ESTIMATED)));
         self.means.add(sweep);
     }
 

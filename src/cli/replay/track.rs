@@ -107,7 +107,8 @@ impl<'a> Track<'a> {
             mount,
             floor: Seen {
                 // Of most captures nothing is said.
-                set: Some(config.segment.mount).filter(|set| *set != Mount::default()),
+                set: Some(config.segment.mount)
+                    .filter(|set| args.sensor.config.config.is_some() || *set != Mount::default()),
                 ..Seen::new(Sight::Unknown, &config.segment)
             },
             progress: setup.progress.clone(),

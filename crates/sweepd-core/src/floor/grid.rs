@@ -3,7 +3,8 @@
 use nalgebra::Vector3;
 
 use super::LANES;
-use crate::segment::{Config, Mount, Stance, turn_rad};
+use crate::segment::{Config, Mount, Stance, reserve, turn_rad};
+use crate::sweep::layout::COLUMNS_CAPACITY;
 use crate::sweep::{BeamRow, SweepRef};
 
 /// Columns and rows that are looked at, at most.
@@ -42,18 +43,18 @@ impl Grid {
         let columns = sweep.columns.len();
         let count = COLUMNS.min(columns);
         choose_rows(sweep.beams, &config.mount, &mut self.rows);
-        self.aims.clear();
+        reserve(&mut self.aims, columns.max(COLUMNS_CAPACITY));
         let azimuths_rad = sweep
             .columns
             .iter()
             .map(|column| f64::from(column.azimuth_rad));
         self.aims.extend(azimuths_rad.map(rounded_sin_cos));
         for plane in self.points.iter_mut().chain([&mut self.far]) {
-            plane.clear();
+            reserve(plane, COLUMNS * ROWS + LANES);
             // A vector may be loaded from the last places on.
             plane.resize(count * ROWS + LANES, f32::NAN);
         }
-        self.sectors.clear();
+        reserve(&mut self.sectors, COLUMNS);
         for at in 0..count {
             let turns = sweep.columns[at * columns / count].azimuth_rad / std::f32::consts::TAU;
             let sector = (turns.rem_euclid(1.0) * SECTORS as f32) as usize;

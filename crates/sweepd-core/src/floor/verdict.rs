@@ -67,14 +67,16 @@ pub(super) fn decide(found: &Found, seen: usize, up: &Vector3<f64>) -> Option<Ve
             }),
         }
     }
-    if floor.columns < SURE_COLUMNS
-        || floor.directions < SURE_DIRECTIONS
-        || floor.tilt_error_rad > SURE_TILT_ERROR_RAD
-    {
+    if floor.columns < SURE_COLUMNS || floor.directions < SURE_DIRECTIONS {
         doubts.add(HeightDoubt::FewReturns {
             columns: floor.columns as u16,
             seen: seen as u16,
             directions: floor.directions as u8,
+        });
+    }
+    if floor.tilt_error_rad > SURE_TILT_ERROR_RAD {
+        doubts.add(HeightDoubt::TiltError {
+            error_ddeg: tenths(floor.tilt_error_rad.to_degrees()),
         });
     }
     // A lower floor beyond the edge of a dock looks like the floor beyond the edge of the robot's own

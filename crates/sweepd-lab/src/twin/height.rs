@@ -135,7 +135,7 @@ impl Height {
 /// The height by some looks, and the doubt.
 fn said(looks: &[Option<Verdict>]) -> (Option<f64>, Option<HeightDoubt>) {
     let newest = &looks[looks.len().saturating_sub(NEWEST)..];
-    let doubt = doubt(newest);
+    let doubt = doubt(looks);
     let of_sure = middle(&sure(looks)).map(|one| one.plane.height_m);
     let mut heights_m: Vec<f64> = of_sure.into_iter().collect();
     if doubt.is_some() {
@@ -147,24 +147,40 @@ fn said(looks: &[Option<Verdict>]) -> (Option<f64>, Option<HeightDoubt>) {
     }
 }
 
-fn doubt(newest: &[Option<Verdict>]) -> Option<HeightDoubt> {
-    let sure = sure(newest);
-    if let Some(middle) = middle(&sure)
-        && sure
-            .iter()
-            .filter(|one| is_within(one, &middle, AGREE))
+fn doubt(looks: &[Option<Verdict>]) -> Option<HeightDoubt> {
+    let newest = &looks[looks.len().saturating_sub(NEWEST)..];
+    let agreeing = |middle: &Verdict| {
+        let sure = sure(newest);
+        sure.iter()
+            .filter(|one| is_within(one, middle, AGREE))
             .count()
-            >= AGREEING
-    {
-        let is_other = |one: &Verdict| {
-            let apart_m = (one.plane.height_m - middle.plane.height_m).abs();
-            one.doubt.is_none() && apart_m > (OTHER[0] * middle.plane.height_m).max(OTHER[1])
-        };
-        match newest.last() {
-            Some(Some(last)) if is_other(last) => return Some(unsteady(&sure)),
-            _ => return None,
-        }
+    };
+    match middle(&sure(newest)) {
+        Some(agreed) if agreeing(&agreed) >= AGREEING => lifted(looks, newest, &agreed),
+        _ => not_agreed(newest),
     }
+}
+
+/// What says that the height of all looks is not that of the last.
+fn lifted(
+    looks: &[Option<Verdict>],
+    newest: &[Option<Verdict>],
+    agreed: &Verdict,
+) -> Option<HeightDoubt> {
+    let height_m = middle(&sure(looks))?.plane.height_m;
+    let other_m = (OTHER[0] * height_m).max(OTHER[1]);
+    let mut deeper = floors(newest);
+    deeper.retain(|one| one.plane.height_m - height_m > other_m);
+    let mut is_lifted = deeper.len() >= 2 || (agreed.plane.height_m - height_m).abs() > other_m;
+    if let Some(Some(last)) = newest.last() {
+        let deeper_m = last.plane.height_m - height_m;
+        is_lifted |= deeper_m > other_m || last.doubt.is_none() && -deeper_m > other_m;
+    }
+    let doubtful = deeper.iter().rev().find_map(|one| one.doubt);
+    is_lifted.then(|| doubtful.unwrap_or_else(|| unsteady(newest)))
+}
+
+fn not_agreed(newest: &[Option<Verdict>]) -> Option<HeightDoubt> {
     for look in newest.iter().rev() {
         match look {
             None => return Some(HeightDoubt::Lost),
@@ -179,14 +195,15 @@ fn doubt(newest: &[Option<Verdict>]) -> Option<HeightDoubt> {
             sweeps: newest.len() as u8,
         });
     }
-    Some(unsteady(&sure))
+    Some(unsteady(newest))
 }
 
-fn unsteady(sure: &[Verdict]) -> HeightDoubt {
+fn unsteady(newest: &[Option<Verdict>]) -> HeightDoubt {
+    let floors = floors(newest);
     let cm = |one: &Verdict| (100.0 * one.plane.height_m).round() as u16;
     HeightDoubt::Unsteady {
-        least_cm: sure.iter().map(cm).min().unwrap_or(0),
-        most_cm: sure.iter().map(cm).max().unwrap_or(0),
+        least_cm: floors.iter().map(cm).min().unwrap_or(0),
+        most_cm: floors.iter().map(cm).max().unwrap_or(0),
     }
 }
 

@@ -218,9 +218,10 @@ impl Publisher {
         let header = sweep.header;
         let set = floor::mount_of(header);
         if *self.floor.mount() != set {
+            let configured = self.description.borrow().configured.clone();
             self.floor = FloorFinder::new(&segment::Config {
                 mount: set,
-                ..Default::default()
+                ..configured
             });
         }
         if self.floor.look(sweep) {

@@ -353,10 +353,11 @@ impl Viewer {
             (status.hardware_id, status.values) = diagnostics::of_header(header);
             let unseen = eye_sentence(header.flags);
             let doubt = floor::of_header(header).map(|finding| finding.to_string());
-            if let (true, Some(sentence)) = (state.ok, unseen.or(doubt)) {
+            let said: Vec<String> = unseen.into_iter().chain(doubt).collect();
+            if state.ok && !said.is_empty() {
                 let is_fault = eye_faults(header.flags).any(|fault| fault.is_fault);
                 status.level = if is_fault { Level::Error } else { Level::Warn };
-                status.message = sentence;
+                status.message = said.join("; ");
             }
         }
         let facts = state.facts.iter();

@@ -59,6 +59,7 @@ pub(super) fn decide(
     let ramp = seen.ramp(floor, found);
     let doubt = below
         .or_else(|| seen.few_returns(floor))
+        .or_else(|| tilt_error(floor))
         .or_else(|| seen.around(floor))
         .or_else(|| ramp.map(|(doubt, _)| doubt))
         .or_else(|| seen.tilted(floor))
@@ -67,6 +68,11 @@ pub(super) fn decide(
         plane: ramp.map_or(floor.plane, |(_, plane)| plane),
         doubt,
     })
+}
+
+fn tilt_error(floor: &Surface) -> Option<HeightDoubt> {
+    let error_ddeg = (10.0 * floor.error_rad.to_degrees()).round() as u16;
+    (floor.error_rad > ERROR_RAD).then_some(HeightDoubt::TiltError { error_ddeg })
 }
 
 /// Whether few enough columns are below it.
@@ -119,8 +125,7 @@ impl Seen<'_> {
 
     fn few_returns(&self, floor: &Surface) -> Option<HeightDoubt> {
         let directions = self.directions(floor);
-        let is_few =
-            floor.columns.len() < COLUMNS || directions < DIRECTIONS || floor.error_rad > ERROR_RAD;
+        let is_few = floor.columns.len() < COLUMNS || directions < DIRECTIONS;
         is_few.then(|| HeightDoubt::FewReturns {
             columns: floor.columns.len() as u16,
             seen: self.count(),
