@@ -41,7 +41,7 @@ const LOOKS: usize = 15;
 /// The first whole turns are looked at, and then one in so many.
 const FIRST_LOOKS: u64 = 5;
 const EVERY: u64 = 10;
-/// So many of the last looks must be sure and agree.
+/// Number of the newest looks, of which so many must be sure and agree.
 const NEWEST: usize = 5;
 const AGREEING: usize = 3;
 /// Floors agree that differ by no more: a share of the height or metres, and radians (1 degree).
@@ -77,7 +77,7 @@ pub struct Floor {
     pub sweeps: usize,
     /// Sweeps that were looked at.
     pub looks: usize,
-    /// Why its height is in doubt; `None` where it is sure.
+    /// Doubt about its height; `None` where it is sure.
     pub doubt: Option<HeightDoubt>,
 }
 
@@ -100,13 +100,13 @@ pub struct FloorFinder {
     level: Level,
     grid: Grid,
     search: Search,
-    /// What was kept of a sweep that was not looked at yet: whether that is a whole turn.
+    /// Set while the kept sweep was not looked at yet: whether it is a whole turn.
     pending: Option<bool>,
     /// Whole turns that came.
     turns: u64,
     /// Whole turns that were looked at.
     looks: u64,
-    /// What the last of them show, the oldest first.
+    /// Verdicts of the last of them, the oldest first.
     recent: Vec<Option<Verdict>>,
     sight: Sight,
 }
@@ -120,7 +120,7 @@ impl Sight {
         }
     }
 
-    /// Why the height is in doubt; `None` where it is sure, or nothing was looked at.
+    /// Doubt about the height; `None` where it is sure, or nothing was looked at.
     pub fn doubt(&self) -> Option<HeightDoubt> {
         match self {
             Self::Unknown => None,
@@ -178,7 +178,7 @@ impl FloorFinder {
         Self::with_level(config, Level::new())
     }
 
-    /// The same, with no more than these instructions of the machine.
+    /// A finder that uses no more than these instructions of the machine.
     pub fn with_level(config: &Config, level: Level) -> Self {
         Self {
             config: config.clone(),
@@ -193,7 +193,7 @@ impl FloorFinder {
         }
     }
 
-    /// What it was made for.
+    /// The configuration that it was made for.
     fn config(&self) -> &Config {
         &self.config
     }
@@ -224,7 +224,7 @@ impl FloorFinder {
         }
     }
 
-    /// The other half: finds the floor in what was kept. Returns whether there was something.
+    /// Finds the floor in what [`FloorFinder::sample`] kept. Returns whether there was something.
     pub fn fit(&mut self) -> bool {
         let Some(is_turn) = self.pending.take() else {
             return false;
@@ -356,7 +356,7 @@ fn sight(recent: &[Option<Verdict>]) -> Sight {
     })
 }
 
-/// Why the height by some looks is not sure; `None` where enough of the last agree, and none says
+/// Doubt about the height by some looks; `None` where enough of the last agree, and none says
 /// that it lies elsewhere by now.
 fn doubt(recent: &[Option<Verdict>]) -> Option<HeightDoubt> {
     let newest = &recent[recent.len().saturating_sub(NEWEST)..];

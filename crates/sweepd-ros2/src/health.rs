@@ -174,7 +174,7 @@ impl Values {
     }
 }
 
-/// What the header of a sweep tells: without a daemon that is asked, nothing else does.
+/// Trouble that the header of a sweep tells: without a daemon that is asked, nothing else does.
 fn by_header(header: &Header) -> Option<(Level, String)> {
     let level = match eye_faults(header.flags).any(|fault| fault.is_fault) {
         true => Level::Error,

@@ -7,7 +7,7 @@ use std::fmt;
 
 use crate::layout::Header;
 
-/// Why the estimated height is in doubt.
+/// Reasons why an estimated height is in doubt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HeightDoubt {
     /// No surface is seen that may be the floor: nothing is labelled ground.
@@ -28,7 +28,7 @@ pub enum HeightDoubt {
     },
     /// More than a few columns see something below it.
     SeenBelow {
-        /// These columns.
+        /// Columns that do.
         columns: u16,
         /// Columns that were looked at and have a return.
         seen: u16,
@@ -39,28 +39,28 @@ pub enum HeightDoubt {
     Around {
         /// Depth of that surface below the sensor, centimetres.
         depth_cm: u16,
-        /// How far it reaches, decimetres.
+        /// Reach of it, decimetres.
         far_dm: u16,
     },
-    /// It is tilted against the mount, and not seen all around: it may be a ramp.
+    /// Tilt against the mount of a floor that is not seen all around: it may be a ramp.
     Tilted {
         /// The angle between the two, tenths of a degree.
         tilt_ddeg: u16,
         /// Sixteenths of a turn that see it.
         directions: u8,
     },
-    /// It may be level and lie at another depth, with a ramp ahead.
+    /// Level, it may lie at another depth, with a ramp ahead.
     Ramp {
         /// Depth as it is tilted, centimetres.
         tilted_cm: u16,
         /// Depth if it is level, centimetres.
         level_cm: u16,
-        /// How it is tilted, tenths of a degree.
+        /// Tilt, tenths of a degree.
         tilt_ddeg: u8,
     },
-    /// It ends nearby all around: it may be the deck of the robot, or a table.
+    /// Nearby all around it ends: it may be the deck of the robot, or a table.
     Small {
-        /// How far it reaches, decimetres.
+        /// Reach of it, decimetres.
         far_dm: u16,
     },
     /// Few sweeps were looked at so far.
@@ -81,7 +81,7 @@ pub enum HeightDoubt {
     Unknown,
 }
 
-/// What to do about it.
+/// Cure of every doubt.
 pub const HEIGHT_CURE: &str = "set height_m";
 
 /// Bits of a word: the kind, then three numbers.

@@ -286,7 +286,7 @@ pub struct Header {
     /// above, radians. Its position is [`Header::position_m`], the other two angles are
     /// [`Header::pitch_rad`] and [`Header::roll_rad`].
     pub yaw_rad: f32,
-    /// Why the estimated height is in doubt: a [`HeightDoubt`](crate::height::HeightDoubt) as a word;
+    /// Doubt about the estimated height: a [`HeightDoubt`](crate::height::HeightDoubt) as a word;
     /// 0 where it is not, or was configured.
     pub height_doubt: u32,
     /// Position of the sensor in the frame of the robot as configured, metres: x right, y forward,

@@ -1,4 +1,4 @@
-//! How a sensor is mounted, by the floor: with the side up that is set, or that its accelerometers
+//! Mount of a sensor, by the floor: with the side up that is set, or that its accelerometers
 //! say, or with either.
 
 use serde_json::{Value, json};
@@ -14,7 +14,7 @@ use sweepd_core::wire::position::Side;
 const NO_TURN: &str = "none: the capture has no whole turn";
 const NOT_SEEN: &str =
     "none: it is not looked for, as the mount says that the sensor lies on its side";
-/// How it is said which side is up.
+/// Words for the side that is up.
 const STANDS: &str = "if the sensor stands upright, `roll_deg = 0`";
 const HANGS: &str = "if the sensor hangs, `roll_deg = 180`";
 const FEELS_UPRIGHT: &str = "its accelerometers say that it stands upright";
@@ -27,15 +27,15 @@ pub struct Mounted<'a> {
     pub set: Mount,
     /// The floor that labels take.
     pub seen: Sight,
-    /// How it is known which side is up.
+    /// Source that says which side is up.
     pub basis: Basis<'a>,
 }
 
-/// How it is known which side of a sensor is up.
+/// Source that says which side of a sensor is up.
 pub enum Basis<'a> {
     /// The mount says it.
     Mount,
-    /// Its accelerometers say it.
+    /// Accelerometers of the sensor say it.
     Accelerometers(Side, &'a Sides),
     /// Nothing says it: both are tried.
     Sides(&'a Sides),
@@ -43,9 +43,9 @@ pub enum Basis<'a> {
     NoTurn,
 }
 
-/// What is said with one side up.
+/// View with one side up.
 struct View {
-    /// What comes before the floor, and after it.
+    /// Words before the floor, and after it.
     before: String,
     after: &'static str,
     /// Whether it lies above, and is the floor if the sensor hangs.
@@ -119,7 +119,7 @@ impl Mounted<'_> {
         }
     }
 
-    /// What is seen with one side up, to be held against the mount where one is set.
+    /// Floor that is seen with one side up, to be held against the mount where one is set.
     fn seen(&self, view: &View) -> Seen {
         let is_set = matches!(self.basis, Basis::Mount) || self.set.height_m.is_some();
         Seen {
@@ -173,7 +173,7 @@ impl Mounted<'_> {
         }
     }
 
-    /// The same for programs: the floor, and the one if the sensor hangs.
+    /// Values for programs: the floor, and the one if the sensor hangs.
     pub fn report(&self) -> [Value; 2] {
         let mut values = [Value::Null, Value::Null];
         if let Basis::NoTurn = self.basis {

@@ -97,7 +97,7 @@ pub struct SensorReport<'a> {
     pub side: Option<&'static str>,
     pub side_by: Option<&'static str>,
     pub floor: Value,
-    /// Where nothing says for sure which side is up: the level surface above.
+    /// Level surface above, where nothing says for sure which side is up.
     pub floor_if_hanging: Value,
     /// What an HDL-64E says of itself.
     pub unit: Option<UnitReport>,

@@ -24,7 +24,7 @@ pub struct Turns {
     flags: u32,
     /// The mount that is set.
     mount: Mount,
-    /// What both sides see, where the mount does not say which is up.
+    /// Both sides, where the mount does not say which is up.
     sides: Option<Sides>,
     gravity: Gravity,
     fault: Option<Fault>,
@@ -97,12 +97,12 @@ impl Turns {
         }
     }
 
-    /// How fast it turns.
+    /// Speed of the head.
     pub fn speed(&self) -> &Speed {
         &self.speed
     }
 
-    /// Why it cannot be decoded.
+    /// Fault for which it cannot be decoded.
     pub fn fault(&self) -> Option<&Fault> {
         self.fault.as_ref()
     }

@@ -29,7 +29,7 @@ pub(super) struct Grid {
     aims: Vec<[f32; 2]>,
 }
 
-/// What the points of a row are made from.
+/// Sines and cosines, and offsets, that the points of a row are made from.
 struct Beam {
     elevation: [f32; 2],
     turn: [f32; 2],

@@ -31,7 +31,7 @@ pub(super) struct Pairs {
     near: [Vec<f32>; 3],
     /// The farther ends.
     next: [Vec<f32>; 3],
-    /// How far both ends are from the sensor's origin, and from each other, metres.
+    /// Distances of both ends from the sensor's origin, and from each other, metres.
     near_far: Vec<f32>,
     next_far: Vec<f32>,
     long: Vec<f32>,
@@ -58,7 +58,7 @@ pub(super) struct Sums {
 }
 
 impl Test {
-    /// What lies within so many bands of a plane, and as level as it: more so within few.
+    /// A test for what lies within so many bands of a plane, and as level as it: more so within few.
     pub fn new(plane: &Plane, width: f64) -> Self {
         let [near_m, most_m] = plane.band().bounds_m();
         let slope = match width > 0.8 {
@@ -87,7 +87,7 @@ impl Test {
         (far * self.rise + self.near_m).min(self.most_m)
     }
 
-    /// What each of some points adds to the sums: see [`Sums::of`].
+    /// Terms that each of some points adds to the sums: see [`Sums::of`].
     #[inline(always)]
     fn terms<S: Simd>(
         &self,
@@ -318,7 +318,7 @@ impl Pairs {
         self.pad();
     }
 
-    /// Which of a vector's pairs are on a plane.
+    /// Bits of a vector's pairs that are on a plane.
     #[inline(always)]
     fn on<S: Simd>(&self, simd: S, test: &Test, first: usize) -> u64 {
         let near_over = test.over(load_point(simd, &self.near, first));

@@ -19,7 +19,7 @@ pub(super) struct Band {
     most_m: f64,
 }
 
-/// How a band widens with the range.
+/// Slope by which a band widens with the range.
 pub(super) const RISE: f64 = 0.01;
 
 impl Band {
@@ -27,7 +27,7 @@ impl Band {
         (self.near_m + RISE * range_m).min(self.most_m)
     }
 
-    /// Its least and its greatest half width, metres.
+    /// Least and greatest half width, metres.
     pub fn bounds_m(self) -> [f64; 2] {
         [self.near_m, self.most_m]
     }

@@ -1,4 +1,4 @@
-//! Which side of a sensor is up, where nobody told.
+//! Sides of a sensor: the one that is up, where nobody told.
 //!
 //! A floor is looked for below the mount that is told, and below the same half a turn of roll on.
 //! Where both sides have a level surface, one is a ceiling: things stand on floors, and little hangs
@@ -30,8 +30,8 @@ const NEARER_M: f64 = 0.3;
 const VOTES: u64 = 20;
 const VOTES_TIMES: u64 = 3;
 
-/// Where neither side has a surface, a floor is looked for below mounts that lean by so much from the
-/// one that is told, in so many directions: it is found up to 50 degrees off.
+/// Lean of further mounts that are tried where neither side has a surface, radians, and the number of
+/// directions: a floor is found up to 50 degrees off the mount that is told.
 const LEAN_RAD: f64 = FRAC_PI_6;
 const LEANS: usize = 8;
 

@@ -35,8 +35,8 @@ const HEIGHTS: usize = 38;
 const REFINED: usize = 6;
 /// A column with a return below weighs as much as these with a pair on the plane.
 const BELOW_WEIGHT: i64 = 2;
-/// So many bands below a plane a return contradicts it, up to this far away, metres. A search looks
-/// at one column in so many.
+/// Bands below a plane from which on a return contradicts it, and how far away it may be, metres. A
+/// search looks at one column in so many.
 const BELOW: f64 = 3.0;
 const BELOW_REACH_M: f64 = 40.0;
 const BELOW_STEP: usize = 4;

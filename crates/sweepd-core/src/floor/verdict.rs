@@ -1,4 +1,4 @@
-//! Which of the surfaces of a sweep is the floor, and what speaks against it.
+//! The floor among the surfaces of a sweep, and what speaks against it.
 
 use nalgebra::Vector3;
 

@@ -110,17 +110,17 @@ impl Inertial {
     }
 }
 
-/// Which side of a sensor is up.
+/// Side of a sensor that is up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Side {
-    /// Its top.
+    /// Top of the sensor.
     Upright,
-    /// Its foot: it hangs.
+    /// Foot of the sensor: it hangs.
     HeadDown,
 }
 
 impl Side {
-    /// Its name for programs.
+    /// Name for programs.
     pub fn name(self) -> &'static str {
         match self {
             Self::Upright => "upright",
@@ -129,7 +129,7 @@ impl Side {
     }
 }
 
-/// Which side of an HDL-32E its accelerometers say is up: the first axes of the first two chips point
+/// Side of an HDL-32E that is up by its accelerometers: the first axes of the first two chips point
 /// to the sensor's top, as real captures have them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Gravity {

@@ -1,4 +1,4 @@
-//! Which side of a sensor is up, where nobody told it.
+//! Sides of a sensor: the one that is up, where nobody told it.
 
 use std::f64::consts::PI;
 

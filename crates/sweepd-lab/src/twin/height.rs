@@ -27,7 +27,7 @@ const LOOKS: usize = 15;
 /// The newest of them, of which so many must agree.
 const NEWEST: usize = 5;
 const AGREEING: usize = 3;
-/// What agrees, and what is another floor: a share of the height, metres, radians.
+/// Limits of what agrees, and of what is another floor: a share of the height, metres, radians.
 const AGREE: [f64; 3] = [0.02, 0.02, 0.017_453];
 const OTHER: [f64; 3] = [0.05, 0.03, 0.034_907];
 
@@ -36,9 +36,9 @@ pub struct Height {
     config: Config,
     /// Whole turns that came.
     turns: u64,
-    /// What the last ones show that were looked at, the oldest first.
+    /// Verdicts of the last ones that were looked at, the oldest first.
     looks: Vec<Option<Verdict>>,
-    /// What the newest part of a turn shows, before there is a whole one.
+    /// Verdict of the newest part of a turn, before there is a whole one.
     part: Option<Option<Verdict>>,
 }
 
@@ -161,7 +161,7 @@ fn doubt(looks: &[Option<Verdict>]) -> Option<HeightDoubt> {
     }
 }
 
-/// What says that the height of all looks is not that of the last.
+/// Doubt that the height of all looks is not that of the last.
 fn lifted(
     looks: &[Option<Verdict>],
     newest: &[Option<Verdict>],
@@ -217,7 +217,7 @@ fn sure(looks: &[Option<Verdict>]) -> Vec<Verdict> {
     sure
 }
 
-/// The one in the middle by height.
+/// Verdict in the middle by height.
 fn middle(floors: &[Verdict]) -> Option<Verdict> {
     let mut floors = floors.to_vec();
     floors.sort_by(|a, b| a.plane.height_m.total_cmp(&b.plane.height_m));

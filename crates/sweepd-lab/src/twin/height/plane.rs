@@ -10,14 +10,14 @@ pub(super) const DEPTHS_M: [f64; 2] = [0.1, 8.0];
 const TILT: f64 = 0.939_693;
 /// Sine of the steepest rise of a pair on a plane, 8 degrees.
 pub(super) const LEVEL: f64 = 0.139_173;
-/// What lies below is looked for up to here, metres.
+/// Reach within which returns below are looked for, metres.
 const BELOW_M: f32 = 40.0;
 /// Bands below a plane that are below it.
 const BELOW: f64 = 3.0;
 /// Standard deviations: of the mount, radians, and of an end of a pair, metres.
 const MOUNT_RAD: f64 = 0.052_36;
 const END_M: f64 = 0.02;
-/// How many ends of pairs count as one.
+/// Ends of pairs that count as one.
 const ALIKE: f64 = 8.0;
 
 /// What is `height_m` below the sensor along `up` and square to it.
@@ -37,7 +37,7 @@ impl Plane {
         point.dot(self.up_single()) + self.height_m as f32
     }
 
-    /// So many bands at this distance, metres.
+    /// Width of so many bands at this distance, metres.
     fn bands_m(&self, bands: f64, far_m: f32) -> f32 {
         let near_m = (bands * (0.05 * self.height_m).clamp(0.03, 0.06)) as f32;
         let most_m = (bands * (0.25 * self.height_m)) as f32;

@@ -12,7 +12,7 @@ const COLUMNS: usize = 512;
 const ROWS: usize = 32;
 /// Rows of the grid that the returns of a pair are apart at most.
 const APART: usize = 8;
-/// How far they are apart at least, metres.
+/// Least distance of the two, metres.
 const APART_M: f32 = 0.15;
 /// Sine of the steepest rise of a pair, 25 degrees.
 const STEEP: f32 = 0.422_618;
@@ -51,7 +51,7 @@ impl Point {
 pub(super) struct Column {
     /// The sixteenth of a turn that it is in.
     pub direction: usize,
-    /// Its returns by row of the grid, the lowest first.
+    /// Returns by row of the grid, the lowest first.
     pub returns: Vec<Option<Point>>,
 }
 

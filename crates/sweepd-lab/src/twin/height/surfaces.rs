@@ -43,7 +43,7 @@ pub(super) struct Candidate {
 pub(super) struct Surface {
     pub plane: Plane,
     pub error_rad: f64,
-    /// Of the grid, with a pair on it.
+    /// Columns of the grid with a pair on it.
     pub columns: HashSet<usize>,
     /// Others that see something below it.
     pub below: usize,

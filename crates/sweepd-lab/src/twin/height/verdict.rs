@@ -133,7 +133,7 @@ impl Seen<'_> {
         })
     }
 
-    /// Of the columns of a plane, those whose lowest return does not lie below it.
+    /// Columns of a plane whose lowest return does not lie below it.
     fn as_lowest(&self, plane: &Plane, columns: &HashSet<usize>) -> usize {
         let is_lowest = |column: &&usize| plane.is_lowest(&self.columns[**column]);
         columns.iter().filter(is_lowest).count()
@@ -270,7 +270,8 @@ fn small(floor: &Surface) -> Option<HeightDoubt> {
     })
 }
 
-/// How far along a surface this share of its pairs is from the point below the sensor, metres.
+/// Distance along a surface that this share of its pairs is within, from the point below the sensor,
+/// metres.
 fn far_m(surface: &Surface, of: f64) -> f64 {
     let up = &surface.plane.up;
     let near = surface.pairs.iter().map(|pair| pair.near.double());
