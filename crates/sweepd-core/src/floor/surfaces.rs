@@ -106,6 +106,13 @@ pub(super) struct Found {
     pub level: [Option<Surface>; 2],
 }
 
+impl Found {
+    /// All surfaces, the best backed first.
+    pub fn all(&self) -> impl Iterator<Item = &Surface> {
+        self.surfaces.iter().flatten()
+    }
+}
+
 /// The search; allocates nothing after its first.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Search {

@@ -44,19 +44,12 @@ pub(super) struct Verdict {
 /// The floor among the surfaces of a sweep of which this many columns have a return, for a mount with
 /// this vertical; `None` if none of them can be it.
 pub(super) fn decide(found: &Found, seen: usize, up: &Vector3<f64>) -> Option<Verdict> {
-    let surfaces = || found.surfaces.iter().flatten();
-    let is_sound = |one: &Surface| one.below as f64 <= CONTRADICTED * one.columns as f64;
-    let first = surfaces().filter(|one| is_sound(one)).fold(None, better)?;
+    let is_sound = |one: &&Surface| one.below as f64 <= CONTRADICTED * one.columns as f64;
+    let first = found.all().filter(is_sound).fold(None, better)?;
     let mut doubts = Doubts::default();
     let mut floor = *first;
-    // Whatever lies below it, contradicted or not: in doubt the greater height counts.
     if floor.below as f64 > BELOW_DOUBT * floor.columns as f64 {
-        let lower = surfaces().filter(|one| {
-            one.plane.height_m > first.plane.height_m
-                && is_parallel(one, first)
-                && one.columns as f64 >= LOWER_SHARE * first.columns as f64
-        });
-        match lower.max_by(|a, b| a.plane.height_m.total_cmp(&b.plane.height_m)) {
+        match lower(found, first) {
             Some(lower) => {
                 floor = *lower;
                 doubts.add(HeightDoubt::Lower);
@@ -79,17 +72,7 @@ pub(super) fn decide(found: &Found, seen: usize, up: &Vector3<f64>) -> Option<Ve
             error_ddeg: tenths(floor.tilt_error_rad.to_degrees()),
         });
     }
-    // A lower floor beyond the edge of a dock looks like the floor beyond the edge of the robot's own
-    // deck, but decks are small.
-    if let Some(rival) = surfaces().find(|one| {
-        one.plane.height_m < floor.plane.height_m
-            && is_elsewhere(one, floor.plane.height_m)
-            && is_parallel(one, &floor)
-            && one.columns as f64 >= RIVAL_SHARE * floor.columns as f64
-            && one.columns >= one.below
-            && one.far_m[0] > RIVAL_M
-            && one.first >= FIRST
-    }) {
+    if let Some(rival) = rival(found, &floor) {
         doubts.add(HeightDoubt::Around {
             depth_cm: hundredths(rival.plane.height_m),
             far_dm: tenths(rival.far_m[0]),
@@ -102,7 +85,9 @@ pub(super) fn decide(found: &Found, seen: usize, up: &Vector3<f64>) -> Option<Ve
         }
     }
     let off_rad = floor.plane.off_rad(up);
-    if off_rad > TILTED_RAD && floor.directions < TILTED_DIRECTIONS {
+    // Level planes are held against the first surface alone.
+    let is_unchecked = found.surfaces[0] != Some(*first) && off_rad >= RAMP_RAD;
+    if is_unchecked || off_rad > TILTED_RAD && floor.directions < TILTED_DIRECTIONS {
         doubts.add(HeightDoubt::Tilted {
             tilt_ddeg: tenths(off_rad.to_degrees()),
             directions: floor.directions as u8,
@@ -116,6 +101,30 @@ pub(super) fn decide(found: &Found, seen: usize, up: &Vector3<f64>) -> Option<Ve
     Some(Verdict {
         plane: floor.plane,
         doubt: doubts.first,
+    })
+}
+
+/// The deepest surface below a floor, contradicted or not: in doubt the greater height counts.
+fn lower<'a>(found: &'a Found, floor: &Surface) -> Option<&'a Surface> {
+    let lower = found.all().filter(|one| {
+        one.plane.height_m > floor.plane.height_m
+            && is_parallel(one, floor)
+            && one.columns as f64 >= LOWER_SHARE * floor.columns as f64
+    });
+    lower.max_by(|a, b| a.plane.height_m.total_cmp(&b.plane.height_m))
+}
+
+/// A surface above the floor that may be the floor instead: a lower one beyond the edge of a dock looks
+/// like the floor beyond the edge of the robot's own deck, but decks are small.
+fn rival<'a>(found: &'a Found, floor: &Surface) -> Option<&'a Surface> {
+    found.all().find(|one| {
+        one.plane.height_m < floor.plane.height_m
+            && is_elsewhere(one, floor.plane.height_m)
+            && is_parallel(one, floor)
+            && one.columns as f64 >= RIVAL_SHARE * floor.columns as f64
+            && one.columns >= one.below
+            && one.far_m[0] > RIVAL_M
+            && one.first >= FIRST
     })
 }
 

@@ -160,7 +160,10 @@ impl Seen<'_> {
     fn tilted(&self, floor: &Surface) -> Option<HeightDoubt> {
         let tilt_rad = floor.plane.off_rad(self.up);
         let directions = self.directions(floor);
-        (tilt_rad > TILTED_RAD && directions < ALL_AROUND).then(|| HeightDoubt::Tilted {
+        let is_unchecked =
+            !std::ptr::eq(floor, &raw const self.surfaces[0]) && tilt_rad >= RAMP_RAD;
+        let is_tilted = tilt_rad > TILTED_RAD && directions < ALL_AROUND || is_unchecked;
+        is_tilted.then(|| HeightDoubt::Tilted {
             tilt_ddeg: (10.0 * tilt_rad.to_degrees()).round() as u16,
             directions: directions as u8,
         })
