@@ -243,6 +243,21 @@ impl fmt::Display for HeightDoubt {
                 "it ends {:.1} m from the sensor: it may be the robot's deck, or a table",
                 tenth(far_dm)
             ),
+            Self::TiltError { error_ddeg } => write!(
+                f,
+                "its tilt is certain to {:.1} degrees alone",
+                tenth(error_ddeg)
+            ),
+            of_sweeps => of_sweeps.fmt_sweeps(f),
+        }
+    }
+}
+
+impl HeightDoubt {
+    /// Reasons that are of several sweeps.
+    fn fmt_sweeps(self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let m = |cm: u16| f64::from(cm) / 100.0;
+        match self {
             Self::FewSweeps { sweeps: 0 } => f.write_str("no whole turn shows it"),
             Self::FewSweeps { sweeps: 1 } => f.write_str("one sweep alone shows it"),
             Self::FewSweeps { sweeps } => write!(f, "{sweeps} sweeps alone show it"),
@@ -253,12 +268,7 @@ impl fmt::Display for HeightDoubt {
                 m(most_cm)
             ),
             Self::Lost => f.write_str("not all of the last sweeps show it"),
-            Self::TiltError { error_ddeg } => write!(
-                f,
-                "its tilt is certain to {:.1} degrees alone",
-                tenth(error_ddeg)
-            ),
-            Self::Unknown => f.write_str("this version does not know the reason"),
+            _ => f.write_str("this version does not know the reason"),
         }
     }
 }
