@@ -41,6 +41,8 @@ const LOOKS: usize = 15;
 /// The first whole turns are looked at, and then one in so many.
 const FIRST_LOOKS: u64 = 5;
 const EVERY: u64 = 10;
+/// Parts of turns in a row after which what whole turns showed is in doubt: they are not looked at.
+const MOST_PARTS: u32 = 20;
 /// Number of the newest looks, of which so many must be sure and agree.
 const NEWEST: usize = 5;
 const AGREEING: usize = 3;
@@ -104,6 +106,8 @@ pub struct FloorFinder {
     pending: Option<bool>,
     /// Whole turns that came.
     turns: u64,
+    /// Parts of turns since the last whole one.
+    parts: u32,
     /// Whole turns that were looked at.
     looks: u64,
     /// Verdicts of the last of them, the oldest first.
@@ -187,6 +191,7 @@ impl FloorFinder {
             search: Search::default(),
             pending: None,
             turns: 0,
+            parts: 0,
             looks: 0,
             recent: Vec::with_capacity(LOOKS + 1),
             sight: Sight::Unknown,
@@ -218,6 +223,11 @@ impl FloorFinder {
             false => self.turns == 0,
         };
         self.turns += u64::from(is_turn);
+        self.parts = if is_turn {
+            0
+        } else {
+            self.parts.saturating_add(1)
+        };
         if is_due && self.config.mount.stance() != Stance::OnSide {
             self.grid.take(sweep, &self.config);
             self.pending = Some(is_turn);
@@ -263,7 +273,13 @@ impl FloorFinder {
 
     /// What the last sweeps show.
     pub fn sight(&self) -> Sight {
-        self.sight
+        match self.sight {
+            Sight::Floor(floor) if self.parts >= MOST_PARTS => Sight::Floor(Floor {
+                doubt: floor.doubt.or(Some(HeightDoubt::Lost)),
+                ..floor
+            }),
+            sight => sight,
+        }
     }
 
     /// Forgets what was before the last looks if these agree with each other on another floor: the
@@ -613,6 +629,19 @@ mod tests {
         let doubted = |height_m| seen(height_m, Some(FEW));
         assert_eq!(looks(&[doubted(0.7); 3]), (Some(1.0), Some(FEW)));
         assert_eq!(looks(&[doubted(1.3); 3]), (Some(1.3), Some(FEW)));
+    }
+
+    #[test]
+    fn a_head_that_stops_leaves_a_doubt() {
+        let mut finder = FloorFinder::new(&Config::default());
+        for _ in 0..3 {
+            finder.note(sure(1.2), true);
+        }
+        finder.parts = MOST_PARTS - 1;
+        assert_eq!(finder.sight().doubt(), None);
+        finder.parts += 1;
+        assert_eq!(finder.sight().doubt(), Some(HeightDoubt::Lost));
+        assert_eq!(finder.sight().height_m(), Some(1.2));
     }
 
     #[test]

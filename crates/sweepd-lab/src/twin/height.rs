@@ -38,6 +38,8 @@ pub struct Height {
     turns: u64,
     /// Verdicts of the last ones that were looked at, the oldest first.
     looks: Vec<Option<Verdict>>,
+    /// Parts of turns since the last whole one.
+    parts: usize,
     /// Verdict of the newest part of a turn, before there is a whole one.
     part: Option<Option<Verdict>>,
 }
@@ -48,6 +50,7 @@ impl Height {
         Self {
             config: config.clone(),
             turns: 0,
+            parts: 0,
             looks: Vec::new(),
             part: None,
         }
@@ -70,6 +73,7 @@ impl Height {
         let is_turn = !sweep.header.has(flags::STOPPED | flags::PARTIAL);
         let number = self.turns;
         self.turns += u64::from(is_turn);
+        self.parts = if is_turn { 0 } else { self.parts + 1 };
         if !Plumb::new(&self.config).stands() {
             return;
         }
@@ -107,6 +111,7 @@ impl Height {
             },
             (looks, _) => said(looks),
         };
+        let doubt = doubt.or((self.parts >= 20).then_some(HeightDoubt::Lost));
         let rounded_m = |height_m: f64| ((1e3 * height_m).round() / 1e3) as f32;
         (height_m.map(rounded_m), doubt.map_or(0, HeightDoubt::word))
     }
