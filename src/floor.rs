@@ -60,14 +60,8 @@ impl Seen {
             (sight, Some(doubt)) if self.is_estimated => {
                 Some(in_doubt(doubt, sight.height_m().unwrap_or_default()))
             }
-            (_, Some(HeightDoubt::NoFloor)) => note(
-                "no floor is seen: the mount that is set cannot be checked".to_owned(),
-                String::new(),
-            ),
             (_, Some(doubt)) => note(
-                format!(
-                    "the mount that is set cannot be checked: the floor that is seen is in doubt: {doubt}"
-                ),
+                format!("the mount that is set cannot be checked by the floor: {doubt}"),
                 String::new(),
             ),
             (_, None) => None,
@@ -84,7 +78,7 @@ impl Seen {
     pub fn json(&self) -> Value {
         let floor = match &self.sight {
             Sight::Unknown => return Value::Null,
-            Sight::NoFloor => None,
+            Sight::NoFloor { .. } => None,
             Sight::Floor(floor) => Some(floor),
         };
         let [height_m, pitch_deg, roll_deg] =
@@ -130,7 +124,11 @@ pub fn height(sight: &Sight, set: &Mount) -> String {
     let taken = match (set.height_m, sight) {
         (Some(height_m), _) => format!("{height_m:.2} m, as set"),
         (None, Sight::Unknown) => return "not known: no whole turn was looked at".to_owned(),
-        (None, Sight::NoFloor) => return HeightDoubt::NoFloor.to_string(),
+        (None, Sight::NoFloor { .. }) => {
+            return sight
+                .doubt()
+                .map_or_else(String::new, |doubt| doubt.finding(0.0));
+        }
         (None, Sight::Floor(floor)) => {
             let doubt = floor.doubt.map_or("", |_| ", in doubt");
             let [pitch_deg, roll_deg] = [set.pitch_rad, set.roll_rad].map(degrees);
@@ -143,7 +141,7 @@ pub fn height(sight: &Sight, set: &Mount) -> String {
     };
     match sight {
         Sight::Unknown => taken,
-        Sight::NoFloor => format!("{taken}; no floor is seen"),
+        Sight::NoFloor { .. } => format!("{taken}; no floor is seen"),
         Sight::Floor(floor) => {
             let [height_m, pitch_deg, roll_deg] = numbers(floor);
             format!(
@@ -253,6 +251,10 @@ mod tests {
     use crate::daemon::config as daemon;
     use sweepd_core::segment::Method;
 
+    const NONE: Sight = Sight::NoFloor {
+        is_contradicted: false,
+    };
+
     fn floor() -> Floor {
         Floor {
             height_m: 0.4119,
@@ -347,12 +349,16 @@ mod tests {
         assert!(unchecked.json()["doubt"].is_null());
         for seen in [doubted, unchecked] {
             let none = Seen {
-                sight: Sight::NoFloor,
+                sight: NONE,
                 ..seen
             };
             let what = match seen.is_estimated {
-                true => "no floor is seen: everything is an obstacle: set height_m",
-                false => "no floor is seen: the mount that is set cannot be checked",
+                true => {
+                    "no floor is seen: everything is an obstacle; no level surface is in sight: set height_m"
+                }
+                false => {
+                    "the mount that is set cannot be checked by the floor: no level surface is in sight"
+                }
             };
             assert_eq!(told(&none), (what.to_owned(), seen.is_estimated));
         }
@@ -391,7 +397,7 @@ mod tests {
                 ..Config::default()
             },
         ] {
-            let seen = Seen::new(Sight::NoFloor, &config);
+            let seen = Seen::new(NONE, &config);
             assert!(!told(&seen).1 && seen.doubt().is_none());
         }
     }
@@ -426,15 +432,12 @@ mod tests {
                 format!("0.41 m, in doubt, taken level; {by_floor}"),
             ),
             (sure, set, format!("1.50 m, as set; {by_floor}")),
+            (NONE, set, "1.50 m, as set; no floor is seen".to_owned()),
             (
-                Sight::NoFloor,
-                set,
-                "1.50 m, as set; no floor is seen".to_owned(),
-            ),
-            (
-                Sight::NoFloor,
+                NONE,
                 level,
-                "no floor is seen: everything is an obstacle".to_owned(),
+                "no floor is seen: everything is an obstacle; no level surface is in sight"
+                    .to_owned(),
             ),
             (Sight::Unknown, set, "1.50 m, as set".to_owned()),
         ] {

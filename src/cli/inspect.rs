@@ -112,7 +112,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
 }
 
 impl Args {
-    /// What is kept of a sensor of this section.
+    /// Stream of a sensor of this section.
     fn begin(&self, section: &Section) -> Result<DataStream, CliError> {
         let Mount {
             pitch_rad,

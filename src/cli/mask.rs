@@ -258,7 +258,7 @@ fn nearest_m(sweep: &SweepRef<'_>, floor: &Sight) -> Vec<f32> {
                 let mount = floor.mount();
                 mount.up().height_m(one.point_m) + f64::from(floor.height_m) < FLOOR_M
             }
-            Sight::Unknown | Sight::NoFloor => false,
+            Sight::Unknown | Sight::NoFloor { .. } => false,
         };
         if !is_floor {
             let nearest_m = &mut nearest_m[pixel(sweep, one.row, one.column)];

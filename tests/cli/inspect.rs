@@ -340,6 +340,10 @@ fn an_hdl32e_says_itself_which_side_is_up() {
             (&told["side"], &told["side_by"]),
             (&json!("upright"), &json!("mount"))
         );
+        // And is told where it is another one.
+        let trouble = told["floor"]["trouble"].as_str().unwrap_or_default();
+        let is_other = trouble.contains("its accelerometers say that it hangs head down");
+        assert_eq!(is_other, name == "head_down", "{trouble}");
     }
 }
 

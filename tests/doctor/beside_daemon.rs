@@ -335,7 +335,7 @@ fn settings_other_than_wanted_are_told_by_the_daemon_and_the_doctor() {
 #[test]
 fn a_floor_that_is_not_seen_is_told_everywhere_in_the_same_words() {
     let (what, cure) = (
-        "no floor is seen: everything is an obstacle",
+        "no floor is seen: everything is an obstacle; no level surface is in sight",
         "set height_m",
     );
     let ports = [free_port(), free_port()];

@@ -24,7 +24,6 @@ mod surfaces;
 mod verdict;
 
 use fearless_simd::Level;
-use nalgebra::Vector3;
 
 use crate::segment::{Config, Mount, Stance};
 use crate::sweep::SweepRef;
@@ -90,7 +89,10 @@ pub enum Sight {
     #[default]
     Unknown,
     /// None of the last sweeps shows one that counts.
-    NoFloor,
+    NoFloor {
+        /// Whether the newest one shows level surfaces, all with returns below them.
+        is_contradicted: bool,
+    },
     /// Some show it; its doubt says how sure it is.
     Floor(Floor),
 }
@@ -120,7 +122,7 @@ impl Sight {
     pub fn height_m(&self) -> Option<f32> {
         match self {
             Self::Floor(floor) => Some(floor.height_m),
-            Self::Unknown | Self::NoFloor => None,
+            Self::Unknown | Self::NoFloor { .. } => None,
         }
     }
 
@@ -128,7 +130,7 @@ impl Sight {
     pub fn doubt(&self) -> Option<HeightDoubt> {
         match self {
             Self::Unknown => None,
-            Self::NoFloor => Some(HeightDoubt::NoFloor),
+            &Self::NoFloor { is_contradicted } => Some(HeightDoubt::NoFloor { is_contradicted }),
             Self::Floor(floor) => floor.doubt,
         }
     }
@@ -138,7 +140,7 @@ impl Sight {
     /// elsewhere. In doubt it may lie elsewhere at each look.
     pub fn is_news_after(&self, known: &Self) -> bool {
         match (self, known) {
-            (Self::Unknown, _) | (Self::NoFloor, Self::NoFloor) => false,
+            (Self::Unknown, _) | (Self::NoFloor { .. }, Self::NoFloor { .. }) => false,
             (Self::Floor(now), Self::Floor(known)) => {
                 let is_sure = now.doubt.is_none();
                 is_sure != known.doubt.is_none() || is_sure && now.differs_from(&known.mount())
@@ -198,11 +200,6 @@ impl FloorFinder {
         }
     }
 
-    /// The configuration that it was made for.
-    fn config(&self) -> &Config {
-        &self.config
-    }
-
     /// The mount that it was made for.
     pub fn mount(&self) -> &Mount {
         &self.config.mount
@@ -240,8 +237,12 @@ impl FloorFinder {
             return false;
         };
         let up = self.config.mount.up().axis().map(f64::from).into();
-        let seen = one_look(self.level, &self.grid, &mut self.search, &up);
+        let found = self.search.find(self.level, &self.grid, &up);
+        let seen = verdict::decide(&found, self.grid.columns_seen(), &up);
         self.note(seen, is_turn);
+        if let Sight::NoFloor { is_contradicted } = &mut self.sight {
+            *is_contradicted = seen.is_none() && found.all().next().is_some();
+        }
         true
     }
 
@@ -310,13 +311,6 @@ impl FloorFinder {
     }
 }
 
-/// The floor by one sweep, for a mount with this vertical.
-fn one_look(level: Level, grid: &Grid, search: &mut Search, up: &Vector3<f64>) -> Option<Verdict> {
-    let found = search.find(level, grid, up);
-    let seen = (0..grid.columns()).filter(|&column| grid.lowest(column).is_some());
-    verdict::decide(&found, seen.count(), up)
-}
-
 /// The floor by some looks, the oldest first.
 fn sight(recent: &[Option<Verdict>]) -> Sight {
     let newest = &recent[recent.len().saturating_sub(NEWEST)..];
@@ -333,7 +327,9 @@ fn sight(recent: &[Option<Verdict>]) -> Sight {
     let Some(floor) = floor else {
         return match recent.is_empty() {
             true => Sight::Unknown,
-            false => Sight::NoFloor,
+            false => Sight::NoFloor {
+                is_contradicted: false,
+            },
         };
     };
     let is_median = sure == Some(floor);
@@ -487,6 +483,8 @@ fn wrapped(angle_rad: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector3;
+
     use super::*;
 
     fn floor(height_m: f32, pitch_deg: f32, roll_deg: f32) -> Floor {
@@ -547,6 +545,9 @@ mod tests {
         (finder.sight().height_m(), finder.sight().doubt())
     }
 
+    const NONE: HeightDoubt = HeightDoubt::NoFloor {
+        is_contradicted: false,
+    };
     const FEW: HeightDoubt = HeightDoubt::Small { far_dm: 7 };
 
     #[test]
@@ -582,16 +583,16 @@ mod tests {
     #[test]
     fn without_a_floor_there_is_no_height_and_what_was_sure_is_kept_for_a_while() {
         assert_eq!(after(&[]), (None, None));
-        assert_eq!(after(&[None]), (None, Some(HeightDoubt::NoFloor)));
+        assert_eq!(after(&[None]), (None, Some(NONE)));
         let mut looks = vec![sure(0.8); 5];
         looks.extend([None; 10]);
         assert_eq!(after(&looks), (Some(0.8), Some(HeightDoubt::Lost)));
         looks.extend([None; 5]);
-        assert_eq!(after(&looks), (None, Some(HeightDoubt::NoFloor)));
+        assert_eq!(after(&looks), (None, Some(NONE)));
         // One that was in doubt is not.
         let mut looks = vec![seen(0.8, Some(FEW))];
         looks.extend([None; 5]);
-        assert_eq!(after(&looks), (None, Some(HeightDoubt::NoFloor)));
+        assert_eq!(after(&looks), (None, Some(NONE)));
     }
 
     #[test]

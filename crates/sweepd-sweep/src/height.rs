@@ -11,7 +11,10 @@ use crate::layout::Header;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HeightDoubt {
     /// No surface is seen that may be the floor: nothing is labelled ground.
-    NoFloor,
+    NoFloor {
+        /// Whether there are level surfaces, all with returns below them.
+        is_contradicted: bool,
+    },
     /// Few returns lie on it.
     FewReturns {
         /// Columns that see it.
@@ -105,7 +108,9 @@ impl HeightDoubt {
         let low = c as u8;
         Some(match word & ((1 << KIND_BITS) - 1) {
             0 => return None,
-            1 => Self::NoFloor,
+            1 => Self::NoFloor {
+                is_contradicted: a == 1,
+            },
             2 => Self::FewReturns {
                 columns: a,
                 seen: b,
@@ -145,7 +150,7 @@ impl HeightDoubt {
     /// bits, each as far as it goes.
     pub fn word(self) -> u32 {
         let (kind, numbers): (u32, [u16; 3]) = match self {
-            Self::NoFloor => (1, [0; 3]),
+            Self::NoFloor { is_contradicted } => (1, [is_contradicted.into(), 0, 0]),
             Self::FewReturns {
                 columns,
                 seen,
@@ -188,7 +193,7 @@ impl HeightDoubt {
     /// what to do.
     pub fn finding(self, height_m: f32) -> String {
         match self {
-            Self::NoFloor => self.to_string(),
+            Self::NoFloor { .. } => format!("no floor is seen: everything is an obstacle; {self}"),
             _ => format!("the height is a guess: {height_m:.2} m; {self}"),
         }
     }
@@ -200,7 +205,10 @@ impl fmt::Display for HeightDoubt {
         let m = |cm: u16| f64::from(cm) / 100.0;
         let tenth = |tenths: u16| f64::from(tenths) / 10.0;
         match *self {
-            Self::NoFloor => f.write_str("no floor is seen: everything is an obstacle"),
+            Self::NoFloor { is_contradicted } => f.write_str(match is_contradicted {
+                true => "returns lie below every level surface",
+                false => "no level surface is in sight",
+            }),
             Self::FewReturns {
                 columns,
                 seen,

@@ -27,6 +27,8 @@ pub struct Mounted<'a> {
     pub set: Mount,
     /// The floor that labels take.
     pub seen: Sight,
+    /// Side that is up by its accelerometers.
+    pub felt: Option<Side>,
     /// Source that says which side is up.
     pub basis: Basis<'a>,
 }
@@ -129,10 +131,23 @@ impl Mounted<'_> {
         }
     }
 
+    /// Words for accelerometers that say another side than the mount that is set.
+    fn felt_otherwise(&self) -> Option<String> {
+        let felt = match (&self.basis, self.felt, self.set.stance()) {
+            (Basis::Mount, Some(Side::HeadDown), Stance::Upright) => FEELS_HEAD_DOWN,
+            (Basis::Mount, Some(Side::Upright), Stance::HeadDown) => FEELS_UPRIGHT,
+            _ => return None,
+        };
+        Some(format!("{felt}, and the mount that is set says otherwise"))
+    }
+
     /// Adds rows: the height that labels take, and the mount to be copied into a configuration.
     pub fn describe(&self, text: &mut String) {
         if let Basis::NoTurn = self.basis {
             return row(text, "floor", NO_TURN);
+        }
+        if let Some(warning) = self.felt_otherwise() {
+            row(text, "warning", warning);
         }
         let views = self.views();
         // What labels take is told where it may be true.
@@ -147,7 +162,7 @@ impl Mounted<'_> {
             let finding = self.seen(&view).finding();
             let lines = match &view.sight {
                 Sight::Floor(floor) => floor::lines(floor),
-                Sight::Unknown | Sight::NoFloor => None,
+                Sight::Unknown | Sight::NoFloor { .. } => None,
             };
             let is_sure = matches!(view.sight, Sight::Floor(floor) if floor.doubt.is_none());
             let what = match &finding {
@@ -187,6 +202,9 @@ impl Mounted<'_> {
 
     fn value(&self, view: &View) -> Value {
         let mut value = self.seen(view).json();
+        if let Some(trouble) = self.felt_otherwise() {
+            value["trouble"] = json!(trouble);
+        }
         let Sight::Floor(floor) = view.sight else {
             return value;
         };

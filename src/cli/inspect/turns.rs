@@ -126,6 +126,7 @@ impl Turns {
         Some(Mounted {
             set: self.mount,
             seen: status.floor,
+            felt,
             basis: match (&self.sides, felt) {
                 _ if self.speed.lacks_a_turn() => Basis::NoTurn,
                 (None, _) => Basis::Mount,

@@ -60,6 +60,10 @@ impl Watched {
     }
 }
 
+const NONE: Sight = Sight::NoFloor {
+    is_contradicted: false,
+};
+
 #[test]
 fn each_change_of_a_sensors_state_is_logged_once() {
     let mut roof = Watched::new(None);
@@ -327,10 +331,12 @@ fn a_doubt_about_the_height_is_logged_when_it_begins_and_when_it_is_over() {
     };
     for (sight, logged) in [
         (
-            Sight::NoFloor,
-            Some("no floor is seen: everything is an obstacle: set height_m"),
+            NONE,
+            Some(
+                "no floor is seen: everything is an obstacle; no level surface is in sight: set height_m",
+            ),
         ),
-        (Sight::NoFloor, None),
+        (NONE, None),
         (doubt(9), Some("it ends 0.9 m from the sensor")),
         (doubt(8), None),
         (Sight::Floor(floor(None)), Some("height_m = 0.400")),
@@ -339,7 +345,7 @@ fn a_doubt_about_the_height_is_logged_when_it_begins_and_when_it_is_over() {
             doubt(7),
             Some("the height is a guess: 0.40 m; it ends 0.7 m"),
         ),
-        (Sight::NoFloor, Some("no floor is seen")),
+        (NONE, Some("no floor is seen")),
     ] {
         let seen = floor::Seen::new(sight, &config);
         let told = roof.watcher.see_floor(seen);
@@ -360,9 +366,9 @@ fn a_doubt_about_the_height_is_logged_when_it_begins_and_when_it_is_over() {
         ..config
     };
     let mut see = |sight| roof.watcher.see_floor(floor::Seen::new(sight, &config));
-    assert!(!see(Sight::NoFloor).unwrap().is_warning);
+    assert!(!see(NONE).unwrap().is_warning);
     assert!(see(Sight::Floor(floor(None))).is_some());
-    for sight in [doubt(7), Sight::NoFloor, Sight::Floor(floor(None))] {
+    for sight in [doubt(7), NONE, Sight::Floor(floor(None))] {
         assert_eq!(see(sight), None);
     }
 }

@@ -209,8 +209,11 @@ fn what_is_seen_of_the_floor_is_told_alone_and_beside_a_daemon() {
     };
     let line = "mount = { height_m = 0.400, pitch_deg = -10.0, roll_deg = 0.0 }";
     let off = ["the mount is set to pitch_deg = 0, roll_deg = 0", line];
+    let none = Sight::NoFloor {
+        is_contradicted: false,
+    };
     let unseen = [
-        "no floor is seen: everything is an obstacle",
+        "no floor is seen: everything is an obstacle; no level surface is in sight",
         "set height_m",
     ];
     for (sight, mount, severity, parts) in [
@@ -226,7 +229,7 @@ fn what_is_seen_of_the_floor_is_told_alone_and_beside_a_daemon() {
             Severity::Warning,
             &off,
         ),
-        (Sight::NoFloor, Mount::default(), Severity::Warning, &unseen),
+        (none, Mount::default(), Severity::Warning, &unseen),
     ] {
         let config = segment::Config {
             mount,

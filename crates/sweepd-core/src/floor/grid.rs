@@ -90,6 +90,12 @@ impl Grid {
         self.sectors.len()
     }
 
+    /// Columns with a return, of those.
+    pub fn columns_seen(&self) -> usize {
+        let seen = (0..self.columns()).filter(|&column| self.lowest(column).is_some());
+        seen.count()
+    }
+
     /// Whether a place has a return.
     pub fn is_return(&self, index: usize) -> bool {
         self.far[index] > 0.0

@@ -1,7 +1,7 @@
 //! Sides of a sensor: the one that is up, where nobody told.
 //!
 //! A floor is looked for below the mount that is told, and below the same half a turn of roll on.
-//! Where both sides have a level surface, one is a ceiling: things stand on floors, and little hangs
+//! One of two level surfaces, on both sides, is a ceiling: things stand on floors, and little hangs
 //! from ceilings. So columns vote: what is a little over a floor is nearer than walls.
 
 use std::f32::consts::PI;
@@ -48,7 +48,7 @@ pub struct Sides {
     voted: u64,
 }
 
-/// What both sides say.
+/// Answer of both sides.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answer {
     /// Neither has a surface that is sure.
@@ -85,10 +85,10 @@ impl Sides {
         if self
             .finders
             .iter()
-            .all(|finder| finder.sight() == Sight::NoFloor)
+            .all(|finder| matches!(finder.sight(), Sight::NoFloor { .. }))
         {
             if self.leaning.is_empty() {
-                self.leaning = leaning(self.finders[0].config());
+                self.leaning = leaning(&self.finders[0].config);
             }
             for finder in &mut self.leaning {
                 finder.look(sweep);
@@ -107,7 +107,7 @@ impl Sides {
         }
     }
 
-    /// What is seen with this side up.
+    /// Sight with this side up.
     pub fn sight(&self, side: Side) -> Sight {
         self.finders[side as usize].sight()
     }
@@ -127,7 +127,7 @@ impl Sides {
         nearest.map(|(_, floor)| floor)
     }
 
-    /// What both sides say.
+    /// Answer of both sides.
     pub fn answer(&self) -> Answer {
         let [upright, head_down] = [Side::Upright, Side::HeadDown].map(|side| self.is_sure(side));
         match self.voted_for() {

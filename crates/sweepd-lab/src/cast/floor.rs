@@ -13,6 +13,11 @@ use sweepd_core::sweep::{SweepMut, SweepRef};
 
 use super::{Drawn, Ground, Scene, Sector, Sensor, Solid};
 
+/// No level surface is in sight.
+const NONE: Sight = Sight::NoFloor {
+    is_contradicted: false,
+};
+
 /// Tilts that are tried, pitch and roll, degrees.
 const TILTS_DEG: [[f64; 2]; 7] = [
     [0.0, 0.0],
@@ -173,11 +178,11 @@ fn where_no_floor_is_seen_none_is_found() {
             ..Scene::with(Vec::new())
         };
         let mut high = sensor(model, 6.0, [0.0, 0.0]);
-        assert_eq!(find(&mut high, &walls, Mount::default(), 3), Sight::NoFloor);
+        assert_eq!(find(&mut high, &walls, Mount::default(), 3), NONE);
         // A ceiling is none either.
         let mut shaft = walls.clone();
         shaft.ceiling_m = 8.0;
-        assert_eq!(find(&mut high, &shaft, Mount::default(), 3), Sight::NoFloor);
+        assert_eq!(find(&mut high, &shaft, Mount::default(), 3), NONE);
     }
     assert_eq!(FloorFinder::new(&Config::default()).sight(), Sight::Unknown);
 }
@@ -312,11 +317,19 @@ fn walls_alone_are_no_floor() {
     };
     let mut drive = Drive::new(sensor(Model::Vlp16, 6.0, [0.0, 0.0]));
     for _ in 0..6 {
-        assert_eq!(drive.next(&walls), (0.0, Some(HeightDoubt::NoFloor)));
+        assert_eq!(
+            drive.next(&walls),
+            (
+                0.0,
+                Some(HeightDoubt::NoFloor {
+                    is_contradicted: false
+                })
+            )
+        );
     }
 }
 
-/// Of a deck within 1.5 m, beyond which nothing is seen.
+/// A deck within 1.5 m, beyond which nothing is seen.
 #[test]
 fn a_deck_alone_is_in_doubt() {
     for half_m in [0.6, 1.0] {

@@ -28,7 +28,7 @@ fn hall(ceiling_m: f64, shelves: usize) -> Scene {
     scene
 }
 
-/// What both sides say of five sweeps, rolled by this many degrees.
+/// Answer of both sides after five sweeps, rolled by this many degrees.
 fn sides(scene: &Scene, roll_deg: f64) -> Sides {
     let mut sensor = Sensor::new(Model::Hdl32e, HEIGHT_M);
     sensor.roll_rad = roll_deg.to_radians();

@@ -40,6 +40,8 @@ pub struct Height {
     looks: Vec<Option<Verdict>>,
     /// Parts of turns since the last whole one.
     parts: usize,
+    /// Whether all surfaces of the newest look have returns below them, and there are some.
+    is_contradicted: bool,
     /// Verdict of the newest part of a turn, before there is a whole one.
     part: Option<Option<Verdict>>,
 }
@@ -51,6 +53,7 @@ impl Height {
             config: config.clone(),
             turns: 0,
             parts: 0,
+            is_contradicted: false,
             looks: Vec::new(),
             part: None,
         }
@@ -78,7 +81,8 @@ impl Height {
             return;
         }
         if is_turn && (number < 5 || number.is_multiple_of(10)) {
-            self.looks.push(self.look(sweep));
+            let verdict = self.look(sweep);
+            self.looks.push(verdict);
             if self.looks.len() > LOOKS {
                 self.looks.remove(0);
             }
@@ -91,13 +95,15 @@ impl Height {
     }
 
     /// The floor that a sweep shows.
-    fn look(&self, sweep: &SweepRef<'_>) -> Option<Verdict> {
+    fn look(&mut self, sweep: &SweepRef<'_>) -> Option<Verdict> {
         let up = Plumb::new(&self.config).up();
         let columns = points::columns(sweep, &self.config);
         let pairs = points::pairs(&columns, Point(up));
         let up = Vector3::from(up.map(f64::from));
         let found = surfaces::find(&columns, &pairs, &up);
-        verdict::decide(&columns, &pairs, &up, &found)
+        let verdict = verdict::decide(&columns, &pairs, &up, &found);
+        self.is_contradicted = verdict.is_none() && !found.surfaces.is_empty();
+        verdict
     }
 
     fn says(&self) -> (Option<f32>, u32) {
@@ -110,6 +116,12 @@ impl Height {
                 said => said,
             },
             (looks, _) => said(looks),
+        };
+        let doubt = match doubt {
+            Some(HeightDoubt::NoFloor { .. }) => Some(HeightDoubt::NoFloor {
+                is_contradicted: self.is_contradicted,
+            }),
+            doubt => doubt,
         };
         let doubt = doubt.or((self.parts >= 20).then_some(HeightDoubt::Lost));
         let rounded_m = |height_m: f64| ((1e3 * height_m).round() / 1e3) as f32;
@@ -148,7 +160,12 @@ fn said(looks: &[Option<Verdict>]) -> (Option<f64>, Option<HeightDoubt>) {
     }
     match heights_m.into_iter().reduce(f64::max) {
         Some(height_m) => (Some(height_m), doubt),
-        None => (None, Some(HeightDoubt::NoFloor)),
+        None => (
+            None,
+            Some(HeightDoubt::NoFloor {
+                is_contradicted: false,
+            }),
+        ),
     }
 }
 

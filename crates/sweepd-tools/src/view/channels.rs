@@ -55,7 +55,7 @@ pub(super) struct Description {
     /// this view has not.
     pub told: bool,
     pub masked: bool,
-    /// What the sweeps show of the floor: the lines of a mount, and what is in doubt or wrong with the
+    /// Floor that the sweeps show: the lines of a mount, and what is in doubt or wrong with the
     /// one that is set, each `null` where there is none.
     pub floor: Value,
     /// What the sweeps are segmented with, as far as it is known.

@@ -189,8 +189,11 @@ impl Tuner {
         }
         // Degrees of a page are rounded.
         let is_same = |one_rad: f32, other_rad: f32| (one_rad - other_rad).abs() < 1e-4;
-        let has_headers = is_same(config.mount.pitch_rad, sweep.header.pitch_rad)
-            && is_same(config.mount.roll_rad, sweep.header.roll_rad);
+        let header = &sweep.header;
+        // A sweep of another method says nothing of the height.
+        let has_headers = (header.height_m > 0.0 || header.height_doubt != 0)
+            && is_same(config.mount.pitch_rad, header.pitch_rad)
+            && is_same(config.mount.roll_rad, header.roll_rad);
         self.segmenter(config, has_headers)?.segment(&mut sweep);
         // Of the table, only what is filled is sent.
         let mut shape = sweep.header.shape();
@@ -207,7 +210,8 @@ impl Tuner {
         has_headers: bool,
     ) -> Result<&mut TimedSegmenter, String> {
         let kept = self.segmenter.take();
-        let kept = kept.filter(|kept| kept.config == *config && kept.has_headers == has_headers);
+        // One that looks for the floor itself is for this sweep alone.
+        let kept = kept.filter(|kept| kept.config == *config && kept.has_headers && has_headers);
         let tuned = match kept {
             Some(kept) => kept,
             None => {

@@ -118,7 +118,8 @@ fn a_floor_that_is_not_seen_is_told_to_page_and_viewer() {
         file.write(&datagram).unwrap();
     }
     drop(file);
-    let words = "no floor is seen: everything is an obstacle: set height_m";
+    let words =
+        "no floor is seen: everything is an obstacle; no level surface is in sight: set height_m";
     let view = View::start(&[path.to_str().unwrap()]);
     let mut page = view.page();
     page.pause();

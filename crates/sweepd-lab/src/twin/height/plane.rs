@@ -20,7 +20,7 @@ const END_M: f64 = 0.02;
 /// Ends of pairs that count as one.
 const ALIKE: f64 = 8.0;
 
-/// What is `height_m` below the sensor along `up` and square to it.
+/// A plane `height_m` below the sensor along `up` and square to it.
 #[derive(Clone, Copy)]
 pub(super) struct Plane {
     pub up: Vector3<f64>,

@@ -131,7 +131,7 @@ fn rounded_sin_cos(angle_rad: f64) -> [f32; 2] {
 /// Two returns of a column between which it is level.
 #[derive(Clone, Copy)]
 pub(super) struct Pair {
-    /// Of the grid.
+    /// Column of the grid.
     pub column: usize,
     pub near: Point,
     pub far: Point,

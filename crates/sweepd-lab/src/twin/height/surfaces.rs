@@ -52,7 +52,7 @@ pub(super) struct Surface {
 }
 
 impl Surface {
-    /// What is seen of a plane, if that is not too little.
+    /// Surface on a plane, if enough of it is seen.
     pub fn of(columns: &[Column], pairs: &[Pair], fit: &Fit) -> Option<Self> {
         let plane = fit.plane;
         let on: Vec<Pair> = pairs
@@ -77,7 +77,7 @@ impl Surface {
     }
 }
 
-/// What a sweep shows.
+/// Surfaces that a sweep shows.
 pub(super) struct Found {
     /// The best first.
     pub surfaces: Vec<Surface>,
