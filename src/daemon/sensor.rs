@@ -28,7 +28,7 @@ use sweepd_core::wire::{Content, Packet, Position, hdl64};
 /// A sensor that could not be decoded is detected again after this time: it may have been
 /// exchanged, or its first packets may have been lost.
 const SECOND_LOOK_NS: i64 = 10_000_000_000;
-/// What fewer sweeps show of the floor is not told.
+/// Looks from which on the floor is told.
 const FLOOR_LOOKS: u64 = 5;
 
 /// A rare event of a sensor, for the log.
@@ -75,8 +75,8 @@ pub struct Sensor<B: Buffers> {
     objects: Option<Box<dyn ObjectsOutput>>,
     objects_every_ns: i64,
     finds_objects: bool,
-    /// Sweeps that were looked at for the floor, as last reported.
-    floor_looks: u64,
+    /// Sweeps that were looked at for the floor, and whether it was in doubt, as last reported.
+    told_floor: (u64, bool),
     /// What was reported of its time.
     told_time: (TimeSource, Option<GpsDoubt>),
 }
@@ -131,7 +131,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
             objects: None,
             objects_every_ns: 0,
             finds_objects: false,
-            floor_looks: 0,
+            told_floor: (0, false),
             told_time: (TimeSource::Host, None),
         })
     }
@@ -271,7 +271,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         // They are counted anew.
         self.counters.set_dark_beams(iter::empty());
         self.counters.forget_eye();
-        self.floor_looks = 0;
+        self.told_floor = (0, false);
         self.config = config;
         self.finds_objects = false;
         self.run_ns = realtime_ns();
@@ -345,14 +345,15 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         self.publish(sweep, completed_monotonic_ns);
     }
 
-    /// Reports what is seen of the floor, if it was looked at again.
+    /// Reports what is seen of the floor, if it was looked at again, or a doubt begins or is over.
     fn tell_floor(&mut self) {
         let status = self.pipeline.status();
         let (sight, looks) = (status.floor, status.floor_looks);
-        let before = std::mem::replace(&mut self.floor_looks, looks);
+        let now = (looks, sight.doubt().is_some());
+        let before = std::mem::replace(&mut self.told_floor, now);
         // Another sensor has taken its place, if there were fewer.
-        let is_other = looks < before;
-        if is_other || looks != before && looks >= FLOOR_LOOKS {
+        let is_other = looks < before.0;
+        if is_other || now != before && looks >= FLOOR_LOOKS {
             let sight = if is_other { Sight::Unknown } else { sight };
             let seen = floor::Seen::new(sight, &self.config.segment);
             self.report(Event::Floor(seen));

@@ -143,7 +143,7 @@ impl Sight {
             (Self::Unknown, _) | (Self::NoFloor { .. }, Self::NoFloor { .. }) => false,
             (Self::Floor(now), Self::Floor(known)) => {
                 let is_sure = now.doubt.is_none();
-                is_sure != known.doubt.is_none() || is_sure && now.differs_from(&known.mount())
+                is_sure != known.doubt.is_none() || is_sure && now.is_elsewhere(known)
             }
             _ => true,
         }
@@ -167,6 +167,13 @@ impl Floor {
             .height_m
             .is_some_and(|height_m| (height_m - self.height_m).abs() > HEIGHT_OFF * self.height_m);
         is_higher || self.off_rad(mount) > TILT_OFF_RAD
+    }
+
+    /// Whether it is another floor than one that was seen before.
+    fn is_elsewhere(&self, before: &Self) -> bool {
+        let apart_m = f64::from((self.height_m - before.height_m).abs());
+        apart_m > (OTHER * f64::from(before.height_m)).max(OTHER_M)
+            || self.off_rad(&before.mount()) > OTHER_RAD
     }
 
     /// The angle between the vertical of a mount and that of this floor, radians.

@@ -325,10 +325,10 @@ fn a_doubt_about_the_height_is_logged_when_it_begins_and_when_it_is_over() {
         ..Default::default()
     };
     let doubt = |far_dm| Sight::Floor(floor(Some(HeightDoubt::Small { far_dm })));
-    let deeper = Floor {
-        height_m: 0.8,
+    let [deeper, as_deep, deeper_yet] = [0.8, 0.82, 0.85].map(|height_m| Floor {
+        height_m,
         ..floor(None)
-    };
+    });
     for (sight, logged) in [
         (
             NONE,
@@ -341,6 +341,9 @@ fn a_doubt_about_the_height_is_logged_when_it_begins_and_when_it_is_over() {
         (doubt(8), None),
         (Sight::Floor(floor(None)), Some("height_m = 0.400")),
         (Sight::Floor(deeper), Some("height_m = 0.800")),
+        (Sight::Floor(as_deep), None),
+        // 5 % deeper and more.
+        (Sight::Floor(deeper_yet), Some("height_m = 0.850")),
         (
             doubt(7),
             Some("the height is a guess: 0.40 m; it ends 0.7 m"),

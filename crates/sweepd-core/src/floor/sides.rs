@@ -97,6 +97,8 @@ impl Sides {
         if let [Sight::Floor(floor), Sight::Floor(ceiling)] =
             self.finders.each_ref().map(FloorFinder::sight)
             && looked
+            // Parts of turns do not vote.
+            && self.finders[0].looks() > 0
         {
             let room = Room {
                 mount: floor.mount(),
