@@ -7,7 +7,7 @@
 
 use super::parameters;
 use super::received::Received;
-use super::wire::{self, EntityId, Fields, Guid, NumberSet, Prefix};
+use super::wire::{self, Ack, EntityId, Fields, Guid, NumberSet, Prefix};
 use std::collections::{BTreeMap, HashMap};
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::time::{Duration, Instant};
@@ -27,10 +27,12 @@ const UNCONFIRMED_LEASE: Duration = Duration::from_secs(5);
 /// A lease may be infinite; a participant that is gone is forgotten all the same.
 const LONGEST_LEASE: Duration = Duration::from_secs(300);
 
-/// How often, at most, and in which interval a participant is told of us that does not know us.
-/// The end of it keeps two that have nothing to tell each other from answering for ever.
+/// How often, at most, and in which interval a participant is told of us that does not know us yet.
 const TELLS: u32 = 8;
 const TELL_INTERVAL: Duration = Duration::from_millis(50);
+
+/// The interval in which one that knows us is: it may have forgotten us, and hear no group.
+const RETELL_INTERVAL: Duration = Duration::from_secs(3);
 
 /// Seconds of an infinite time.
 const INFINITE_SECONDS: u32 = 0x7fff_ffff;
@@ -192,8 +194,6 @@ pub struct Endpoint {
     pub promise: Option<&'static str>,
     /// Where it gets its datagrams.
     pub place: Place,
-    /// The places that it names for that; none for those of its participant.
-    named: Vec<SocketAddrV4>,
 }
 
 impl Endpoint {
@@ -208,7 +208,6 @@ impl Endpoint {
             names_hash: false,
             promise: None,
             place,
-            named: vec![],
         }
     }
 
@@ -250,6 +249,11 @@ impl Endpoint {
                 _ => {}
             }
         }
+        // One that names no places is where its participant is.
+        let named = match locators.is_empty() {
+            true => &participant.user,
+            false => &locators,
+        };
         Some(Self {
             guid: guid?,
             topic: topic?,
@@ -258,22 +262,8 @@ impl Endpoint {
             transient_local,
             names_hash,
             promise,
-            place: Self::place(&locators, participant, own)?,
-            named: locators,
+            place: Place::choose(named, participant.source, own)?,
         })
-    }
-
-    /// Where a reader is that names these places.
-    fn place(
-        named: &[SocketAddrV4],
-        participant: &ParticipantData,
-        own: &OwnAddresses,
-    ) -> Option<Place> {
-        let named = match named.is_empty() {
-            true => &participant.user,
-            false => named,
-        };
-        Place::choose(named, participant.source, own)
     }
 }
 
@@ -285,9 +275,9 @@ struct Told {
 }
 
 impl Told {
-    fn nothing() -> Self {
+    fn nothing(now: Instant) -> Self {
         Self {
-            samples: Received::new(),
+            samples: Received::new(now),
             endpoints: BTreeMap::new(),
         }
     }
@@ -311,10 +301,10 @@ struct Participant {
     heard: Instant,
     /// It has acknowledged something, from the place that it names.
     is_confirmed: bool,
-    /// When it is to be told of us again, and how often. One that has only just begun hears
+    /// When it is to be told of us again, and how often at once. One that has only just begun hears
     /// nothing yet when it first says that it is there.
     tell_again: Instant,
-    tells_left: u32,
+    tells_at_once: u32,
     /// For each [`Side`].
     told: [Told; 2],
 }
@@ -322,6 +312,22 @@ struct Participant {
 impl Participant {
     fn endpoints(&self, side: Side) -> &BTreeMap<EntityId, Endpoint> {
         &self.told[side as usize].endpoints
+    }
+
+    /// It says again that it is there: whether it is told of us again.
+    fn hears_again(&mut self, now: Instant) -> News {
+        if now < self.tell_again {
+            return News::Known;
+        }
+        let is_settled = self.tells_at_once == 0;
+        self.tells_at_once = self.tells_at_once.saturating_sub(1);
+        self.tell_again = now
+            + if is_settled {
+                RETELL_INTERVAL
+            } else {
+                TELL_INTERVAL
+            };
+        News::Unaware
     }
 }
 
@@ -337,41 +343,18 @@ pub struct Discovery {
 
 impl Discovery {
     /// A participant says that it is there.
-    pub fn participant(
-        &mut self,
-        prefix: Prefix,
-        data: ParticipantData,
-        own: &OwnAddresses,
-        now: Instant,
-    ) -> News {
+    pub fn participant(&mut self, prefix: Prefix, mut data: ParticipantData, now: Instant) -> News {
         if let Some(known) = self.participants.get_mut(&prefix) {
-            let mut data = data;
             // A host may speak from several addresses: the one that works stays.
             if known.is_confirmed && data.named.contains(&known.data.meta.address) {
                 (data.meta, data.source) = (known.data.meta, known.data.source);
             }
-            let moved = known.data.meta != data.meta;
-            known.data = data;
-            known.heard = now;
-            if moved {
-                (known.since, known.is_confirmed) = (now, false);
-                // It has told of its endpoints, and will not do so again.
-                for told in &mut known.told {
-                    told.endpoints.retain(|_, endpoint| {
-                        let place = Endpoint::place(&endpoint.named, &known.data, own);
-                        endpoint.place = place.unwrap_or(endpoint.place);
-                        place.is_some()
-                    });
-                }
-                self.counts = Side::BOTH.map(|side| self.count(side));
-                return News::New;
+            if known.data.meta == data.meta {
+                (known.data, known.heard) = (data, now);
+                return known.hears_again(now);
             }
-            if known.tells_left == 0 || now < known.tell_again {
-                return News::Known;
-            }
-            known.tell_again = now + TELL_INTERVAL;
-            known.tells_left -= 1;
-            return News::Unaware;
+            // It has moved: all begins anew.
+            self.forget(prefix);
         }
         if self.participants.len() == MAX_PARTICIPANTS {
             return News::Known;
@@ -382,16 +365,11 @@ impl Discovery {
             heard: now,
             is_confirmed: false,
             tell_again: now + TELL_INTERVAL,
-            tells_left: TELLS,
-            told: [Told::nothing(), Told::nothing()],
+            tells_at_once: TELLS,
+            told: Side::BOTH.map(|_| Told::nothing(now)),
         };
         self.participants.insert(prefix, participant);
         News::New
-    }
-
-    fn count(&self, side: Side) -> usize {
-        let participants = self.participants.values();
-        participants.map(|one| one.endpoints(side).len()).sum()
     }
 
     /// Whom a participant that is new displaces where there is no room: of those that have
@@ -553,8 +531,14 @@ impl Discovery {
 
     /// A participant says which samples there are of its endpoints.
     pub fn heartbeat(&mut self, prefix: Prefix, side: Side, first: u64, last: u64) {
-        if let Some(told) = self.told(prefix, side) {
-            told.samples.heartbeat(first, last);
+        if let Some(participant) = self.participants.get_mut(&prefix) {
+            participant.told[side as usize]
+                .samples
+                .heartbeat(first, last);
+            if participant.is_confirmed {
+                // It tells us of its endpoints and hears us: it knows us.
+                participant.tells_at_once = 0;
+            }
         }
     }
 
@@ -565,17 +549,25 @@ impl Discovery {
         }
     }
 
-    /// Which samples of a participant's endpoints we miss, and where to say so. None as long as it has
-    /// acknowledged nothing: it may be forgotten, and tells nothing again that was acknowledged.
-    pub fn missing(&mut self, prefix: Prefix, side: Side) -> Option<(NumberSet, Place)> {
-        let participant = self.participants.get_mut(&prefix)?;
+    /// What a participant is told of the samples in which it tells of its endpoints, and where.
+    pub fn ack(&self, prefix: Prefix, side: Side) -> Option<(Ack, Place)> {
+        let participant = self.participants.get(&prefix)?;
         let samples = &participant.told[side as usize].samples;
-        if !participant.is_confirmed || samples.newest == 0 {
-            return None;
+        Some((samples.ack(), participant.data.meta))
+    }
+
+    /// The participants, of those that have acknowledged something, that are to be asked again of which
+    /// endpoints they have told.
+    pub fn ask_again(&mut self, now: Instant) -> Vec<(Prefix, Side)> {
+        let mut due = vec![];
+        for (prefix, one) in &mut self.participants {
+            for side in Side::BOTH.into_iter().filter(|_| one.is_confirmed) {
+                if one.told[side as usize].samples.asks_again(now) {
+                    due.push((*prefix, side));
+                }
+            }
         }
-        // It tells us of its endpoints and hears us: it knows us.
-        participant.tells_left = 0;
-        Some((samples.missing(), participant.data.meta))
+        due
     }
 
     /// Where a participant hears of others.
@@ -592,7 +584,7 @@ impl Discovery {
     /// How many participants, readers and writers there are.
     #[cfg(test)]
     pub fn counts(&self) -> (usize, usize, usize) {
-        let counts = Side::BOTH.map(|side| self.count(side));
+        let counts = Side::BOTH.map(|side| self.endpoints(side).count());
         assert_eq!(counts, self.counts);
         let told = self.participants.values().flat_map(|one| &one.told);
         for told in told {
@@ -660,18 +652,15 @@ mod tests {
         let after = |seconds| start + Duration::from_secs(seconds);
         let soon = start + Duration::from_millis(10);
         for (id, lease) in [(1, 10), (2, 20), (3, 20)] {
-            let news = discovery.participant([id; 12], data(lease), &[], start);
+            let news = discovery.participant([id; 12], data(lease), start);
             assert_eq!(news, News::New);
         }
         for id in [1, 2] {
             assert!(discovery.acknowledged([id; 12], Ipv4Addr::LOCALHOST, &[]));
         }
+        assert_eq!(discovery.participant([2; 12], data(20), soon), News::Known);
         assert_eq!(
-            discovery.participant([2; 12], data(20), &[], soon),
-            News::Known
-        );
-        assert_eq!(
-            discovery.participant([2; 12], data(20), &[], after(5)),
+            discovery.participant([2; 12], data(20), after(5)),
             News::Unaware
         );
         // The third has acknowledged nothing.

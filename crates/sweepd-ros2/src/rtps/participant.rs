@@ -11,7 +11,7 @@ use super::reader::{Inbox, Reader};
 use super::sample::Body;
 use super::sockets::{self, Sockets};
 use super::terms::{Match, Terms};
-use super::wire::{self, EntityId, Guid, Message, NumberSet, Prefix, Route};
+use super::wire::{self, Ack, EntityId, Guid, Message, Prefix, Route};
 use super::writer::{Counters, Outbox, ReaderCount, Writer};
 use crate::environment::{DiscoveryRange, Environment};
 use crate::log;
@@ -383,9 +383,9 @@ impl Ways {
     ) {
         match reader.terms.asked_of(writer) {
             Match::Yes if confirmed_host == Some(writer.place.host()) => {
-                if reader.add_writer(writer) && reader.terms.reliable {
-                    let ask = self.acknack(reader.guid, writer.guid, &NumberSet::new(0));
-                    out.message(writer.place.address, ask);
+                if let Some((ack, place)) = reader.add_writer(writer, Instant::now()) {
+                    let ask = self.acknack(reader.guid, writer.guid, &ack);
+                    out.message(place.address, ask);
                 }
             }
             Match::Yes | Match::No => {}
@@ -414,11 +414,11 @@ impl Ways {
         self.warned.len() < MAX_WARNINGS && self.warned.insert(endpoint.guid)
     }
 
-    /// What a reader of ours misses of a writer.
-    fn acknack(&mut self, reader: Guid, writer: Guid, missing: &NumberSet) -> Message {
+    /// What a reader of ours has of a writer.
+    fn acknack(&mut self, reader: Guid, writer: Guid, ack: &Ack) -> Message {
         self.acknacks = self.acknacks.wrapping_add(1);
         let mut message = Message::to(reader.prefix, writer.prefix);
-        message.acknack(reader.entity, writer.entity, missing, self.acknacks);
+        message.acknack(reader.entity, writer.entity, ack, self.acknacks);
         message
     }
 
@@ -651,6 +651,7 @@ impl Shared {
             writer.tick(now, &mut out);
         }
         state.fill_readers(&mut out);
+        self.ask_again(&mut state, now, &mut out);
         state.tell_full(now);
         out
     }

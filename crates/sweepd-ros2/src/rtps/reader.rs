@@ -9,12 +9,13 @@ use super::discovery::{Endpoint, Place};
 use super::flow::lock;
 use super::received::{Received, WINDOW};
 use super::terms::Terms;
-use super::wire::{Data, Fragments, Guid, NumberSet, Part, SampleId};
+use super::wire::{Ack, Data, Fragments, Guid, NumberSet, Part, SampleId};
 use crate::log;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::{self, Thread};
+use std::time::Instant;
 
 /// Writers that a reader takes samples of.
 pub const MAX_WRITERS: usize = 128;
@@ -205,12 +206,13 @@ impl Reader {
         }
     }
 
-    /// A writer is there, or is at another place now. Says whether there is room for it.
-    pub fn add_writer(&mut self, writer: &Endpoint) -> bool {
+    /// A writer is there, or is at another place now. Says what it is asked, and where, unless there is no room
+    /// for it.
+    pub fn add_writer(&mut self, writer: &Endpoint, now: Instant) -> Option<(Ack, Place)> {
         let place = writer.place;
         if let Some(known) = self.sources.get_mut(&writer.guid) {
             known.place = place;
-            return true;
+            return self.asked(writer.guid);
         }
         if self.sources.len() == MAX_WRITERS {
             self.has_refused = true;
@@ -221,17 +223,33 @@ impl Reader {
                     self.terms.ros_topic()
                 ));
             }
-            return false;
+            return None;
         }
         let source = Source {
             place,
-            received: Received::new(),
+            received: Received::new(now),
             waiting: BTreeMap::new(),
             bytes: 0,
         };
         self.sources.insert(writer.guid, source);
         self.writer_count_changed();
-        true
+        self.asked(writer.guid)
+    }
+
+    /// What a writer is told of its samples, and where. A reader that is not reliable tells nothing.
+    fn asked(&self, writer: Guid) -> Option<(Ack, Place)> {
+        let source = self.sources.get(&writer).filter(|_| self.terms.reliable)?;
+        Some((source.received.ack(), source.place))
+    }
+
+    /// The writers that are to be asked again what they have.
+    pub fn asks_again(&mut self, now: Instant) -> Vec<(Guid, Ack, Place)> {
+        let sources = self.sources.iter_mut().filter(|_| self.terms.reliable);
+        let ask = |(guid, source): (&Guid, &mut Source)| {
+            let is_due = source.received.asks_again(now);
+            is_due.then(|| (*guid, source.received.ack(), source.place))
+        };
+        sources.filter_map(ask).collect()
     }
 
     /// Writers that are no more: one, or those of a participant.
@@ -315,14 +333,12 @@ impl Reader {
     }
 
     /// A writer says what it has: what is missing of it, and where to say so.
-    pub fn heartbeat(&mut self, from: Guid, first: u64, last: u64) -> Option<(NumberSet, Place)> {
-        let source = self
-            .sources
-            .get_mut(&from)
-            .filter(|_| self.terms.reliable)?;
-        source.received.heartbeat(first, last);
-        source.settle(from, &self.inbox);
-        Some((source.received.missing(), source.place))
+    pub fn heartbeat(&mut self, from: Guid, first: u64, last: u64) -> Option<(Ack, Place)> {
+        if let Some(source) = self.sources.get_mut(&from).filter(|_| self.terms.reliable) {
+            source.received.heartbeat(first, last);
+            source.settle(from, &self.inbox);
+        }
+        self.asked(from)
     }
 
     /// A writer says what it will never send.
@@ -389,7 +405,10 @@ pub mod tests {
             };
             let mut writer = Endpoint::builtin_reader([0; 12], Side::Writers, place);
             writer.guid = *guid;
-            assert!(reader.add_writer(&writer));
+            assert_eq!(
+                reader.add_writer(&writer, Instant::now()).is_some(),
+                reliable
+            );
         }
         reader
     }
@@ -452,8 +471,8 @@ pub mod tests {
     }
 
     fn missing(reader: &mut Reader, from: Guid, first: u64, last: u64) -> Vec<u64> {
-        let (missing, _) = reader.heartbeat(from, first, last).unwrap();
-        missing.iter().collect()
+        let (ack, _) = reader.heartbeat(from, first, last).unwrap();
+        ack.missing.iter().collect()
     }
 
     #[test]

@@ -1,10 +1,17 @@
 //! Which samples of a writer are there: what a reader says of them (section 8.4.12).
 
-use super::wire::NumberSet;
+use super::wire::{Ack, NumberSet};
 use std::collections::BTreeSet;
+use std::time::{Duration, Instant};
 
 /// Samples ahead of the first that is missing.
 pub const WINDOW: u64 = 256;
+
+/// First time after which a writer is asked again what it has; doubled while it does not say so.
+const ASK_INTERVAL: Duration = Duration::from_secs(1);
+
+/// Longest such time.
+const LONGEST_INTERVAL: Duration = Duration::from_secs(4);
 
 /// The numbers of the samples that are there, or will never come.
 #[derive(Debug)]
@@ -14,16 +21,20 @@ pub struct Received {
     /// Those behind it, at most [`WINDOW`] ahead.
     ahead: BTreeSet<u64>,
     /// The newest that the writer told of.
-    pub newest: u64,
+    newest: u64,
+    /// When the writer is asked again what it has, and how long after it was asked before; none once it has
+    /// said so. Who begins anew cannot know what the writer takes for acknowledged (section 8.4.12).
+    ask: Option<(Instant, Duration)>,
 }
 
 impl Received {
-    /// No sample.
-    pub fn new() -> Self {
+    /// No sample, of a writer that is asked now what it has.
+    pub fn new(now: Instant) -> Self {
         Self {
             next: 1,
             ahead: BTreeSet::new(),
             newest: 0,
+            ask: Some((now + ASK_INTERVAL, ASK_INTERVAL)),
         }
     }
 
@@ -55,6 +66,17 @@ impl Received {
     pub fn heartbeat(&mut self, first: u64, last: u64) {
         self.skip_to(first);
         self.newest = last;
+        self.ask = None;
+    }
+
+    /// Whether the writer is to be asked again now.
+    pub fn asks_again(&mut self, now: Instant) -> bool {
+        let due = self.ask.filter(|(at, _)| *at <= now);
+        if let Some((_, interval)) = due {
+            let interval = (interval * 2).min(LONGEST_INTERVAL);
+            self.ask = Some((now + interval, interval));
+        }
+        due.is_some()
     }
 
     /// Those from `first` to before the base of `more` will never come, and those of `more`.
@@ -78,15 +100,18 @@ impl Received {
         }
     }
 
-    /// Those that are missing, of those that the writer told of.
-    pub fn missing(&self) -> NumberSet {
+    /// What is said to the writer: those that are missing, of those that it told of.
+    pub fn ack(&self) -> Ack {
         let mut missing = NumberSet::new(self.next);
         for number in self.next..=self.newest.min(self.next + WINDOW - 1) {
             if !self.ahead.contains(&number) {
                 missing.insert(number);
             }
         }
-        missing
+        Ack {
+            is_final: self.ask.is_none() && missing.is_empty(),
+            missing,
+        }
     }
 
     /// How many are kept in mind.
@@ -102,17 +127,36 @@ mod tests {
 
     #[test]
     fn numbers_are_kept_in_order_and_bounded() {
-        let mut received = Received::new();
+        let mut received = Received::new(Instant::now());
         assert!(received.insert(1) && received.insert(3) && !received.insert(3));
-        received.newest = 5;
-        assert!(received.missing().iter().eq([2, 4, 5]));
+        received.heartbeat(1, 5);
+        let missing = |received: &Received| received.ack().missing;
+        assert!(missing(&received).iter().eq([2, 4, 5]));
         assert!(!received.insert(2 + WINDOW) && received.insert(1 + WINDOW));
-        received.newest = 1 << 61;
-        assert_eq!(received.missing().iter().count() as u64, WINDOW - 2);
+        received.heartbeat(1, 1 << 61);
+        assert_eq!(missing(&received).iter().count() as u64, WINDOW - 2);
         assert!(received.insert(2) && !received.insert(2));
         assert_eq!(received.next, 4);
         received.heartbeat(1 << 61, 7);
         assert_eq!((received.next, received.ahead.len()), (1 << 61, 0));
-        assert!(received.missing().is_empty());
+        assert!(missing(&received).is_empty());
+    }
+
+    #[test]
+    fn a_writer_is_asked_until_it_says_what_it_has() {
+        let start = Instant::now();
+        let mut received = Received::new(start);
+        let asked: Vec<u64> = (0..20)
+            .filter(|seconds| received.asks_again(start + Duration::from_secs(*seconds)))
+            .collect();
+        assert_eq!(asked, [1, 3, 7, 11, 15, 19]);
+        // A sample alone says nothing of those before it.
+        assert!(received.insert(2));
+        let nothing = NumberSet::new(1);
+        let ack = |missing, is_final| Ack { missing, is_final };
+        assert_eq!(received.ack(), ack(nothing, false));
+        received.heartbeat(2, 2);
+        assert_eq!(received.ack(), ack(NumberSet::new(3), true));
+        assert!(!received.asks_again(start + Duration::from_secs(100)));
     }
 }

@@ -225,6 +225,15 @@ pub struct Heartbeat {
     pub count: u32,
 }
 
+/// What a reader says of the samples of a writer.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Ack {
+    /// It misses these, and has all before the base.
+    pub missing: NumberSet,
+    /// It asks for no answer. If not, the writer must send a heartbeat (section 8.3.7.1).
+    pub is_final: bool,
+}
+
 /// Between whom a sample goes, and which it is.
 #[derive(Clone, Copy, Debug)]
 pub struct Route {
@@ -374,16 +383,14 @@ impl Message {
         self.0.extend(heartbeat.count.to_le_bytes());
     }
 
-    /// Says what our reader misses. Where it misses nothing, no answer is asked for; one that has heard
-    /// of nothing yet, and says so by the base 0, asks what there is.
-    pub fn acknack(&mut self, reader: EntityId, writer: EntityId, missing: &NumberSet, count: u32) {
-        let words = missing.bits.div_ceil(32) as usize;
-        let asks = !missing.is_empty() || missing.base == 0;
-        let flags = if asks { 0 } else { FINAL };
+    /// Says what our reader has of a writer.
+    pub fn acknack(&mut self, reader: EntityId, writer: EntityId, ack: &Ack, count: u32) {
+        let words = ack.missing.bits.div_ceil(32) as usize;
+        let flags = if ack.is_final { FINAL } else { 0 };
         self.begin(ACKNACK, flags, 24 + 4 * words);
         self.0.extend(reader);
         self.0.extend(writer);
-        missing.write(&mut self.0);
+        ack.missing.write(&mut self.0);
         self.0.extend(count.to_le_bytes());
     }
 
@@ -496,11 +503,11 @@ pub enum Submessage<'a> {
         first: u64,
         more: NumberSet,
     },
-    /// What a reader misses; it has all before the base.
+    /// What a reader has.
     AckNack {
         reader: EntityId,
         writer: EntityId,
-        missing: NumberSet,
+        ack: Ack,
     },
     /// Which fragments of a sample a reader misses.
     NackFragment {
@@ -602,7 +609,10 @@ fn read_submessage(kind: u8, flags: u8, fields: Fields) -> Option<Submessage> {
         ACKNACK => Some(Submessage::AckNack {
             reader: first_entity,
             writer: second_entity,
-            missing: NumberSet::read(fields, fields.number(8)?, 16)?.0,
+            ack: Ack {
+                missing: NumberSet::read(fields, fields.number(8)?, 16)?.0,
+                is_final: flags & FINAL != 0,
+            },
         }),
         NACK_FRAGMENT => {
             let base = u64::from(fields.u32(16)?);
@@ -756,7 +766,8 @@ mod tests {
         missing.insert(1236);
         missing.insert(1237);
         let mut acknack = Message::new(OURS);
-        acknack.acknack(READER, WRITER, &missing, 1);
+        let is_final = false;
+        acknack.acknack(READER, WRITER, &Ack { missing, is_final }, 1);
         behind_header(
             &acknack,
             "06 01 1c 00 00 00 01 04 00 00 02 03 00 00 00 00 d2 04 00 00 \
@@ -802,15 +813,19 @@ mod tests {
             missing.insert(number);
         }
         assert!(missing.iter().eq([10, 41, 42, 265]));
-        let mut message = Message::new(THEIRS);
-        message.acknack(READER, WRITER, &missing, 1);
-        let read: Vec<Submessage> = read(message.bytes(), OURS).unwrap().collect();
-        let expected = Submessage::AckNack {
-            reader: READER,
-            writer: WRITER,
-            missing,
-        };
-        assert_eq!(read, [expected]);
-        assert!(super::read(message.bytes(), THEIRS).is_none());
+        for is_final in [false, true] {
+            let mut message = Message::new(THEIRS);
+            let missing = missing.clone();
+            let ack = Ack { missing, is_final };
+            message.acknack(READER, WRITER, &ack, 1);
+            let read: Vec<Submessage> = read(message.bytes(), OURS).unwrap().collect();
+            let expected = Submessage::AckNack {
+                reader: READER,
+                writer: WRITER,
+                ack,
+            };
+            assert_eq!(read, [expected]);
+            assert!(super::read(message.bytes(), THEIRS).is_none());
+        }
     }
 }

@@ -7,7 +7,7 @@
 use super::discovery::{Endpoint, Place};
 use super::flow::{Delivery, Kind, Link, Progress, Pulse, Step};
 use super::sample::{Body, Sample};
-use super::wire::{Guid, Message, NumberSet, Prefix};
+use super::wire::{Ack, Guid, Message, NumberSet, Prefix};
 use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::atomic::{AtomicU32, AtomicU64, AtomicUsize, Ordering};
@@ -87,6 +87,10 @@ struct Reader {
     from: u64,
     /// It has all up to this.
     acknowledged: u64,
+    /// It has said so, or asked for something.
+    has_answered: bool,
+    /// It asks what there is, and has got no answer yet.
+    asks: bool,
     /// When it was asked last, or last said something new.
     asked: Instant,
     /// It is asked again that much later.
@@ -214,6 +218,8 @@ impl Writer {
             is_confirmed,
             from,
             acknowledged: from - 1,
+            has_answered: false,
+            asks: false,
             asked: now,
             interval: HEARTBEAT_INTERVAL,
             skipped: 0,
@@ -449,20 +455,26 @@ impl Writer {
         true
     }
 
-    /// A reader says what it misses: it gets that again, or hears that it never will.
-    pub fn acknack(&mut self, from: Guid, missing: &NumberSet, now: Instant, out: &mut Outbox) {
+    /// A reader says what it misses: it gets that again, or hears that it never will. That may be below what
+    /// it had acknowledged: one that had forgotten us begins anew.
+    pub fn acknack(&mut self, from: Guid, ack: &Ack, now: Instant, out: &mut Outbox) {
+        let missing = &ack.missing;
         let (first, last) = (self.first(), self.complete);
         let Some(reader) = self.readers.get_mut(&from) else {
             return;
         };
+        reader.has_answered = true;
+        reader.asks = !ack.is_final;
         let has = missing.base.saturating_sub(1).min(last);
         if has > reader.acknowledged || !missing.is_empty() {
-            reader.acknowledged = reader.acknowledged.max(has);
             reader.ask_after(HEARTBEAT_INTERVAL, now);
         } else {
             // It says that it is there, until it hears what there is. Each time that postponed the
             // answer, it would never hear.
             reader.interval = HEARTBEAT_INTERVAL;
+        }
+        if has > reader.acknowledged || reader.asks {
+            reader.acknowledged = has;
         }
         if reader.is_busy() {
             return;
@@ -515,11 +527,13 @@ impl Writer {
             reader
                 .repaired
                 .retain(|_, at| now.duration_since(*at) < REPAIR_INTERVAL);
-            let waiting = reader.reliable && reader.acknowledged < self.complete;
+            let lacks = !reader.has_answered || reader.acknowledged < self.complete;
+            let waiting = reader.reliable && (reader.asks || lacks);
             let can_answer = reader.is_confirmed && !reader.is_busy();
             if !waiting || !can_answer || now < reader.asked + reader.interval {
                 continue;
             }
+            reader.asks = false;
             reader.ask_after((reader.interval * 2).min(LONGEST_INTERVAL), now);
             let mut message = Message::to(self.guid.prefix, guid.prefix);
             message.heartbeat(guid.entity, self.guid.entity, pulse.beat());

@@ -8,7 +8,7 @@ use crate::rtps::discovery::{
 use crate::rtps::flow::lock;
 use crate::rtps::parameters;
 use crate::rtps::reader::Reader;
-use crate::rtps::wire::{self, ANY_READER, Data, EntityId, Guid, NumberSet, Prefix, Submessage};
+use crate::rtps::wire::{self, ANY_READER, Data, EntityId, Guid, Prefix, Submessage};
 use crate::rtps::writer::Outbox;
 use std::collections::BTreeMap;
 use std::net::Ipv4Addr;
@@ -131,17 +131,24 @@ impl Shared {
 
     /// Says to a participant of which of its endpoints we have heard.
     fn ask_for_endpoints(&self, state: &mut State, prefix: Prefix, side: Side, out: &mut Outbox) {
-        if let Some((missing, place)) = state.discovery.missing(prefix, side) {
-            let [reader, writer] = self.telling(prefix, side);
-            let message = state.ways.acknack(reader, writer, &missing);
-            out.message(place.address, message);
+        if let Some((ack, place)) = state.discovery.ack(prefix, side) {
+            let (reader, writer) = side.builtin();
+            let (reader, writer) = (self.guid(reader), Guid::new(prefix, writer));
+            out.message(place.address, state.ways.acknack(reader, writer, &ack));
         }
     }
 
-    /// Our reader, and the writer of a participant that tells it of endpoints.
-    fn telling(&self, prefix: Prefix, side: Side) -> [Guid; 2] {
-        let (reader, writer) = side.builtin();
-        [self.guid(reader), Guid::new(prefix, writer)]
+    /// Asks writers again that have not said what they have.
+    pub(super) fn ask_again(&self, state: &mut State, now: Instant, out: &mut Outbox) {
+        for (prefix, side) in state.discovery.ask_again(now) {
+            self.ask_for_endpoints(state, prefix, side, out);
+        }
+        for reader in state.readers.values_mut() {
+            for (writer, ack, place) in reader.asks_again(now) {
+                let message = state.ways.acknack(reader.guid, writer, &ack);
+                out.message(place.address, message);
+            }
+        }
     }
 
     /// Answers a participant that says that it is there: that we are too, which writers and readers we
@@ -153,7 +160,7 @@ impl Shared {
             state.forget(displaced);
         }
         let now = Instant::now();
-        let news = (state.discovery).participant(prefix, data, &state.addresses, now);
+        let news = state.discovery.participant(prefix, data, now);
         if news == News::Known {
             return;
         }
@@ -163,17 +170,12 @@ impl Shared {
         if news == News::Unaware && host.is_some() {
             return;
         }
-        for side in Side::BOTH {
-            let [reader, writer] = self.telling(prefix, side);
-            let nothing = state.ways.acknack(reader, writer, &NumberSet::new(1));
-            out.message(place.address, nothing);
-        }
         if news == News::New {
-            // One that was here before has moved: its endpoints, too.
+            // One that was here before has moved.
             state.forget(prefix);
-            for side in Side::BOTH {
-                state.join(prefix, side, None, out);
-            }
+        }
+        for side in Side::BOTH {
+            self.ask_for_endpoints(state, prefix, side, out);
         }
         for side in Side::BOTH {
             let reader = Endpoint::builtin_reader(prefix, side, place);
@@ -295,11 +297,11 @@ impl State {
             Submessage::AckNack {
                 reader,
                 writer,
-                missing,
+                ack,
             } => {
                 let from = Guid::new(prefix, reader);
                 if let Some((_, writer)) = self.writers.get_mut(&writer) {
-                    writer.acknack(from, &missing, now, out);
+                    writer.acknack(from, &ack, now, out);
                 }
             }
             Submessage::NackFragment {
@@ -378,8 +380,8 @@ impl State {
         out: &mut Outbox,
     ) {
         for own in readers_named(&mut self.readers, reader) {
-            if let Some((missing, place)) = own.heartbeat(writer, first, last) {
-                let message = self.ways.acknack(own.guid, writer, &missing);
+            if let Some((ack, place)) = own.heartbeat(writer, first, last) {
+                let message = self.ways.acknack(own.guid, writer, &ack);
                 out.message(place.address, message);
             }
         }

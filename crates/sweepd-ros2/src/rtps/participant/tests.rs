@@ -3,7 +3,7 @@
 use super::*;
 use crate::rtps::discovery::{MAX_ENDPOINTS, MAX_PARTICIPANTS};
 use crate::rtps::wire::Submessage;
-use crate::rtps::wire::{Fragments, Heartbeat};
+use crate::rtps::wire::{Fragments, Heartbeat, NumberSet};
 use crate::rtps::writer::OUTBOX;
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -76,13 +76,32 @@ fn participant_at(prefix: Prefix, addresses: &[Ipv4Addr]) -> Message {
     data(prefix, wire::PARTICIPANTS_WRITER, 1, &list.end())
 }
 
+/// "I miss these. What is there?"
+fn asking_for(missing: NumberSet) -> Ack {
+    Ack {
+        missing,
+        is_final: false,
+    }
+}
+
+/// What is said to a participant of its writers.
+fn acks(out: &Outbox, to: Prefix) -> BTreeMap<EntityId, Ack> {
+    let messages = out.messages.iter();
+    let said = messages.filter_map(|(_, message)| wire::read(message.bytes(), to));
+    let acks = said.flatten().filter_map(|one| match one {
+        Submessage::AckNack { writer, ack, .. } => Some((writer, ack)),
+        _ => None,
+    });
+    acks.collect()
+}
+
 /// "You have told me of no writer of yours."
 fn acknowledgement(prefix: Prefix, participant: &Participant) -> Message {
     let mut message = Message::to(prefix, participant.guid().prefix);
     message.acknack(
         wire::PUBLICATIONS_READER,
         wire::PUBLICATIONS_WRITER,
-        &NumberSet::new(1),
+        &asking_for(NumberSet::new(1)),
         1,
     );
     message
@@ -190,11 +209,11 @@ fn sensible(writer: Guid) -> Vec<Vec<u8>> {
         5,
         90,
     );
-    others.acknack(reader, writer.entity, &missing, 1);
+    others.acknack(reader, writer.entity, &asking_for(missing.clone()), 1);
     others.acknack(
         wire::PUBLICATIONS_READER,
         wire::PUBLICATIONS_WRITER,
-        &missing,
+        &asking_for(missing),
         1,
     );
     // NACK_FRAG of sample 5: fragments 1 and 3 of 4.
@@ -239,10 +258,11 @@ fn take(participant: &Participant, datagram: &[u8]) -> Outbox {
 fn sensible_datagrams_are_understood() {
     let (participant, writer) = deaf(208);
     let [here, reads, others, ended] = sensible(writer.guid).try_into().unwrap();
-    // Once it has acknowledged something, the publications; and for a reader, the writer's history.
+    // Once it has acknowledged something, the publications, and the question for its own endpoints; and for a
+    // reader, the writer's history.
     take(&participant, &here);
     let out = take(&participant, acknowledgement([7; 12], &participant).bytes());
-    assert_eq!((out.messages.len(), out.repairs.len()), (0, 1));
+    assert_eq!((out.messages.len(), out.repairs.len()), (2, 1));
     let out = take(&participant, &reads);
     assert_eq!((out.messages.len(), out.repairs.len()), (0, 5));
     assert_eq!(writer.counters.readers.load(Ordering::Relaxed), 1);
@@ -314,7 +334,9 @@ fn samples_are_taken_of_writers_that_acknowledge_something() {
     assert!(out.messages.is_empty() && reliable.inbox.take().is_none());
     // Its place is right now: the reliable one asks what there is, and gets it.
     let out = take(&participant, acknowledgement(prefix, &participant).bytes());
-    assert_eq!(out.messages.len(), 1);
+    let asked = acks(&out, prefix);
+    let nothing = asking_for(NumberSet::new(1));
+    assert_eq!(asked.get(&WRITER), Some(&nothing));
     let out = take(&participant, sample.bytes());
     let [(_, answer)] = &out.messages[..] else {
         panic!("{} messages", out.messages.len());
@@ -323,7 +345,10 @@ fn samples_are_taken_of_writers_that_acknowledge_something() {
     let all = Submessage::AckNack {
         reader: reliable.guid.entity,
         writer: WRITER,
-        missing: NumberSet::new(2),
+        ack: Ack {
+            missing: NumberSet::new(2),
+            is_final: true,
+        },
     };
     assert_eq!(answer.next(), Some(all));
     for handle in [&best_effort, &reliable] {
@@ -458,6 +483,7 @@ fn a_flood_fills_what_there_is_room_for() {
     let mut asking = Message::new(prefix(0));
     let mut missing = NumberSet::new(1);
     (1..=256).for_each(|number| missing.insert(number));
+    let missing = asking_for(missing);
     while asking.bytes().len() < 65_000 {
         asking.acknack([0, 0, 1, 4], [0, 0, 1, 3], &missing, 1);
     }
@@ -480,7 +506,7 @@ fn a_reader_that_keeps_saying_that_it_has_nothing_is_told_what_there_is() {
     for ms in (0..2000).step_by(10) {
         let (now, mut out) = (start + Duration::from_millis(ms), Outbox::default());
         if ms % 70 == 0 {
-            writer.acknack(reader, &NumberSet::new(0), now, &mut out);
+            writer.acknack(reader, &asking_for(NumberSet::new(0)), now, &mut out);
         }
         assert!(out.messages.is_empty() && out.repairs.is_empty());
         writer.tick(now, &mut out);
@@ -489,6 +515,91 @@ fn a_reader_that_keeps_saying_that_it_has_nothing_is_told_what_there_is() {
     assert!(told_ms.first().is_some_and(|ms| *ms <= 200), "{told_ms:?}");
     // Readers that answer each heartbeat so do not make it a storm.
     assert!((5..=20).contains(&told_ms.len()), "{told_ms:?}");
+}
+
+/// A participant was silent for its lease, and has not forgotten us: of what we have acknowledged it says
+/// nothing by itself.
+#[test]
+fn one_that_was_forgotten_is_asked_for_all_of_its_endpoints_again() {
+    let (participant, writer) = deaf(221);
+    let prefix = [7; 12];
+    let mut has_readers = Message::new(prefix);
+    let one = Heartbeat {
+        first: 1,
+        last: 1,
+        count: 1,
+    };
+    has_readers.heartbeat(wire::SUBSCRIPTIONS_READER, wire::SUBSCRIPTIONS_WRITER, one);
+    let mut all = asking_for(NumberSet::new(2));
+    all.is_final = true;
+    let mut missing = NumberSet::new(1);
+    missing.insert(1);
+    let subscriptions = |out: &Outbox| acks(out, prefix).remove(&wire::SUBSCRIPTIONS_WRITER);
+    for _ in 0..2 {
+        let out = take(&participant, participant_data(prefix).bytes());
+        let nothing = asking_for(NumberSet::new(1));
+        let of_both = Side::BOTH.map(|side| (side.builtin().1, nothing.clone()));
+        assert_eq!(acks(&out, prefix), BTreeMap::from(of_both));
+        take(&participant, acknowledgement(prefix, &participant).bytes());
+        // The answer is lost.
+        let later = Instant::now() + Duration::from_millis(1100);
+        assert_eq!(
+            subscriptions(&participant.shared.tick(later)),
+            Some(nothing)
+        );
+        let out = take(&participant, has_readers.bytes());
+        assert_eq!(subscriptions(&out), Some(asking_for(missing.clone())));
+        take(&participant, reader_data(prefix, 1, 1).bytes());
+        let out = take(&participant, has_readers.bytes());
+        assert_eq!(subscriptions(&out), Some(all.clone()));
+        assert_eq!(written_to(&participant, &writer).len(), 1);
+        assert_eq!(
+            subscriptions(&participant.shared.tick(later + Duration::from_secs(9))),
+            None
+        );
+        participant.shared.tick(later + Duration::from_secs(21));
+        assert!(written_to(&participant, &writer).is_empty());
+    }
+}
+
+/// A participant has forgotten us, and we have not forgotten it.
+#[test]
+fn one_that_forgot_what_it_acknowledged_is_told_of_it_again() {
+    let (participant, _writer) = deaf(222);
+    let prefix = [7; 12];
+    take(&participant, participant_data(prefix).bytes());
+    take(&participant, acknowledgement(prefix, &participant).bytes());
+    let reader = Guid::new(prefix, wire::PUBLICATIONS_READER);
+    let mut state = lock(&participant.shared.state);
+    let (_, telling) = state.writers.get_mut(&wire::PUBLICATIONS_WRITER).unwrap();
+    let start = Instant::now() + Duration::from_secs(1);
+    let mut after = |ack: Option<Ack>, ms| {
+        let (now, mut out) = (start + Duration::from_millis(ms), Outbox::default());
+        if let Some(ack) = ack {
+            telling.acknack(reader, &ack, now, &mut out);
+        }
+        telling.tick(now, &mut out);
+        let repaired = out.repairs.iter().map(|one| one.sample.number);
+        (out.messages.len(), repaired.collect::<Vec<u64>>())
+    };
+    let mut all = asking_for(NumberSet::new(2));
+    all.is_final = true;
+    assert_eq!(after(Some(all), 0), (0, vec![]));
+    assert_eq!(after(None, 5000), (0, vec![]));
+    // It begins anew: a heartbeat, again until it has said what it misses, and the publication.
+    assert_eq!(
+        after(Some(asking_for(NumberSet::new(1))), 6000),
+        (1, vec![])
+    );
+    assert_eq!(after(None, 6500), (1, vec![]));
+    let mut missing = NumberSet::new(1);
+    missing.insert(1);
+    assert_eq!(after(Some(asking_for(missing)), 7000), (0, vec![1]));
+    // One that has all and asks is answered, too.
+    let all = asking_for(NumberSet::new(2));
+    assert_eq!(after(Some(all), 8000), (0, vec![]));
+    assert_eq!(after(None, 8100), (1, vec![]));
+    assert_eq!(after(None, 9000), (0, vec![]));
 }
 
 #[test]
@@ -573,7 +684,7 @@ fn samples_go_to_no_address_from_which_nothing_was_acknowledged() {
     unnamed.acknack(
         wire::PUBLICATIONS_READER,
         wire::PUBLICATIONS_WRITER,
-        &NumberSet::new(1),
+        &asking_for(NumberSet::new(1)),
         1,
     );
     take(&participant, unnamed.bytes());
@@ -583,7 +694,9 @@ fn samples_go_to_no_address_from_which_nothing_was_acknowledged() {
     take(&participant, participant_data(other).bytes());
     take(&participant, reader_data(other, 1, 1).bytes());
     let out = take(&participant, acknowledgement(prefix, &participant).bytes());
-    assert_eq!(out.messages.len(), 1, "its readers are acknowledged now");
+    let acked = acks(&out, prefix).remove(&wire::SUBSCRIPTIONS_WRITER);
+    let all = acked.expect("its readers are acknowledged now");
+    assert_eq!((all.missing, all.is_final), (NumberSet::new(2), true));
     assert_eq!(writer.counters.readers.load(Ordering::Relaxed), 1);
     let honest = SocketAddrV4::new(Ipv4Addr::LOCALHOST, 9);
     assert_eq!(written_to(&participant, &writer), [honest]);
@@ -607,6 +720,7 @@ fn a_host_with_two_addresses_is_reached_at_the_one_that_answers() {
     receive(&here, wireless);
     receive(&reader_data(prefix, 1, 1), wireless);
     receive(&acknowledgement(prefix, &participant), wired);
+    receive(&reader_data(prefix, 1, 1), wired);
     let place = SocketAddrV4::new(wired, 9);
     assert_eq!(written_to(&participant, &writer), [place]);
     // What it says through the other one changes nothing.
