@@ -1,7 +1,7 @@
 //! What the environment says of the domain, in the variables that ROS 2 has for it.
 
 use std::env;
-use std::net::{IpAddr, Ipv4Addr, ToSocketAddrs};
+use std::net::Ipv4Addr;
 
 /// The highest domain that there are ports for.
 const LAST_DOMAIN: u16 = 232;
@@ -17,6 +17,15 @@ pub enum DiscoveryRange {
     Subnet,
 }
 
+/// A host that is looked at whether multicast reaches it or not.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum StaticPeer {
+    /// An address, which is used at once.
+    Address(Ipv4Addr),
+    /// A host name, which the node looks up: every 5 s until it is known, then once a minute.
+    Name(String),
+}
+
 /// Which domain a node enters, and who may find it there.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Environment {
@@ -25,7 +34,7 @@ pub struct Environment {
     /// How far to look.
     pub range: DiscoveryRange,
     /// Hosts that are looked at in any case.
-    pub static_peers: Vec<Ipv4Addr>,
+    pub static_peers: Vec<StaticPeer>,
 }
 
 /// A variable of the environment that makes no sense.
@@ -43,7 +52,7 @@ impl Environment {
     /// `ROS_LOCALHOST_ONLY`. What is unset or empty has ROS' default: domain 0, `SUBNET`.
     ///
     /// # Errors
-    /// A variable that ROS would not take, or a peer whose name is not known.
+    /// A variable that ROS would not take.
     pub fn from_env() -> Result<Self, EnvironmentError> {
         Self::from_variables(|name| env::var_os(name).map(|value| value.to_string_lossy().into()))
     }
@@ -104,18 +113,34 @@ fn read_range(value: &str) -> Result<DiscoveryRange, String> {
     }
 }
 
-fn read_peers(value: &str) -> Result<Vec<Ipv4Addr>, String> {
-    let mut addresses = vec![];
-    for peer in value.split(';').filter(|peer| !peer.is_empty()) {
-        let address = resolve(peer).ok_or_else(|| {
-            format!(
-                "`{peer}` has no IPv4 address here; give addresses, or names that this host \
-                 resolves, with `;` between them"
-            )
-        })?;
-        addresses.push(address);
-    }
-    Ok(addresses)
+fn read_peers(value: &str) -> Result<Vec<StaticPeer>, String> {
+    let peers = value.split(';').filter(|peer| !peer.is_empty());
+    peers
+        .map(|peer| match peer.parse() {
+            Ok(address) => Ok(StaticPeer::Address(address)),
+            Err(_) if is_host_name(peer) => Ok(StaticPeer::Name(peer.to_owned())),
+            Err(_) => Err(format!(
+                "`{peer}` is neither an IPv4 address nor a host name; separate peers by `;`"
+            )),
+        })
+        .collect()
+}
+
+/// True for a name of RFC 1123, 2.1, also with `_`, as containers have it. One whose last label is a number
+/// is none: it is an address gone wrong. The system's resolver would take 10.0.0 for 10.0.0.0.
+fn is_host_name(name: &str) -> bool {
+    let name = name.strip_suffix('.').unwrap_or(name);
+    let is_label = |label: &str| {
+        let is_inner = |byte: u8| byte.is_ascii_alphanumeric() || b"-_".contains(&byte);
+        (1..=63).contains(&label.len())
+            && label.bytes().all(is_inner)
+            && !label.starts_with('-')
+            && !label.ends_with('-')
+    };
+    let last = name.rsplit('.').next().unwrap_or(name);
+    name.len() <= 253
+        && name.split('.').all(is_label)
+        && !last.bytes().all(|byte| byte.is_ascii_digit())
 }
 
 fn read_switch(value: &str) -> Result<bool, String> {
@@ -124,14 +149,6 @@ fn read_switch(value: &str) -> Result<bool, String> {
         "1" => Ok(true),
         _ => Err("give 1 or 0, or unset it".to_owned()),
     }
-}
-
-fn resolve(peer: &str) -> Option<Ipv4Addr> {
-    let mut addresses = (peer, 0).to_socket_addrs().ok()?;
-    addresses.find_map(|address| match address.ip() {
-        IpAddr::V4(address) => Some(address),
-        IpAddr::V6(_) => None,
-    })
 }
 
 #[cfg(test)]
@@ -150,7 +167,9 @@ mod tests {
         Environment {
             domain,
             range,
-            static_peers: peers.iter().copied().map(Ipv4Addr::from).collect(),
+            static_peers: (peers.iter().copied())
+                .map(|peer| StaticPeer::Address(peer.into()))
+                .collect(),
         }
     }
 
@@ -213,12 +232,66 @@ mod tests {
             (
                 PEERS,
                 "10.0.0.7;::1",
-                "ROS_STATIC_PEERS is `10.0.0.7;::1`: `::1` has no IPv4 address here; give \
-                 addresses, or names that this host resolves, with `;` between them",
+                "ROS_STATIC_PEERS is `10.0.0.7;::1`: `::1` is neither an IPv4 address nor a host \
+                 name; separate peers by `;`",
             ),
         ];
         for (variable, value, error) in cases {
             assert_eq!(read(&[(variable, value)]), Err(error.to_owned()));
+        }
+    }
+
+    #[test]
+    fn a_peer_is_refused_only_if_it_can_be_neither_an_address_nor_a_name() {
+        let long_label = "a".repeat(63);
+        let long_name = [&long_label[..]; 4].join(".");
+        let names = [
+            "laptop.local",
+            "laptop",
+            "Base-Station.lan.",
+            "ros_master_1",
+            "3com.example",
+            "10.0.0.7.example",
+            "xn--lftfjord-n1a.example",
+            &long_label,
+            // Three labels of 63 bytes and one of 61, with the points between them.
+            &long_name[..253],
+        ];
+        for name in names {
+            let peers = read(&[(PEERS, name)]).unwrap().static_peers;
+            assert_eq!(peers, [StaticPeer::Name(name.to_owned())]);
+        }
+        let (longer_label, longer_name) = (format!("{long_label}a"), &long_name[..254]);
+        let neither = [
+            "127.0.0.1,127.0.0.2",
+            "127.0.0.1:7400",
+            "::1",
+            "10.0.0",
+            "10.0.0.",
+            "300.1.1.1",
+            "1.2.3.4.5",
+            "010.0.0.1",
+            "7",
+            " laptop.local",
+            "laptop .local",
+            "laptop\n",
+            ".",
+            ".local",
+            "laptop..local",
+            "-laptop",
+            "laptop-.local",
+            "münchen.local",
+            "udp/laptop",
+            "$PEER",
+            &longer_label,
+            longer_name,
+        ];
+        for peer in neither {
+            let error = format!(
+                "ROS_STATIC_PEERS is `a;{peer}`: `{peer}` is neither an IPv4 address nor a host \
+                 name; separate peers by `;`"
+            );
+            assert_eq!(read(&[(PEERS, &format!("a;{peer}"))]), Err(error));
         }
     }
 }

@@ -23,7 +23,7 @@ pub mod log;
 pub mod node;
 mod rtps;
 
-pub use environment::{DiscoveryRange, Environment, EnvironmentError};
+pub use environment::{DiscoveryRange, Environment, EnvironmentError, StaticPeer};
 pub use node::{
     Durability, Node, NodeError, Publisher, Quality, Request, Service, Statistics, Subscriber,
     Subscription,

@@ -9,9 +9,7 @@ fn program(dds_domain: &str, words: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_sweepd-ros2"));
     command
         .args(words)
-        .env_remove("COLUMNS")
-        .env_remove("ROS_LOCALHOST_ONLY")
-        .env_remove("ROS_STATIC_PEERS")
+        .env_clear()
         .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         .env("ROS_DOMAIN_ID", dds_domain)
         .stdin(Stdio::null());
@@ -145,5 +143,30 @@ fn the_page_has_what_help_says() {
     assert!(
         page.unwrap().contains(&lines.join("\n")),
         "docs/ros2.md has another help:\n{help}"
+    );
+}
+
+#[test]
+fn a_static_peer_that_is_not_known_is_a_warning() {
+    let mut child = program("142", &["roof", "--root", "/none"])
+        .env("ROS_STATIC_PEERS", "127.0.0.1;nobody.invalid")
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+    let mut said = vec![];
+    for part in [
+        "info: node /sweepd on ROS domain 142",
+        "warning: static peer nobody.invalid is not known: ",
+    ] {
+        while !said.iter().any(|line: &String| line.starts_with(part)) {
+            said.push(lines.next().unwrap().unwrap());
+        }
+    }
+    let pid = child.id().to_string();
+    let kill = Command::new("kill").args(["-TERM", &pid]).status();
+    assert!(
+        kill.unwrap().success() && child.wait().unwrap().success(),
+        "{said:?}"
     );
 }

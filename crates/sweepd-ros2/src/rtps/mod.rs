@@ -44,6 +44,7 @@ pub mod discovery;
 pub mod flow;
 mod parameters;
 pub mod participant;
+mod peers;
 pub mod reader;
 mod received;
 pub mod sample;

@@ -7,6 +7,7 @@
 use super::discovery::{Discovery, Endpoint, Place, Side};
 use super::flow::{self, Delivery, Kind, Link, SocketMemory, Step, Transport, lock};
 use super::parameters::{self, ParameterList};
+use super::peers::Peers;
 use super::reader::{Inbox, Reader};
 use super::sample::Body;
 use super::sockets::{self, Sockets};
@@ -78,6 +79,7 @@ struct State {
 struct Shared {
     prefix: Prefix,
     environment: Environment,
+    peers: Peers,
     name: String,
     enclave: String,
     transport: Transport,
@@ -259,6 +261,7 @@ impl Participant {
         if self.shared.closed.swap(true, Ordering::Relaxed) {
             return;
         }
+        self.shared.peers.leave();
         // The receiving thread sees it within a tick; the other has nothing to come.
         drop(lock(&self.shared.behind).take());
         for thread in lock(&self.threads).drain(..) {
@@ -449,6 +452,7 @@ impl Shared {
         Ok(Self {
             prefix,
             environment: environment.clone(),
+            peers: Peers::new(&environment.static_peers)?,
             name: name.to_owned(),
             enclave: enclave.to_owned(),
             transport,
@@ -671,8 +675,8 @@ impl Shared {
         let message = self.announcement(&addresses);
         sockets.send_to_group(message.bytes(), &addresses);
         sockets.send_to_host(message.bytes(), Ipv4Addr::LOCALHOST);
-        for peer in &self.environment.static_peers {
-            sockets.send_to_host(message.bytes(), *peer);
+        for peer in self.peers.addresses() {
+            sockets.send_to_host(message.bytes(), peer);
         }
     }
 
@@ -734,9 +738,7 @@ impl Shared {
             DiscoveryRange::Off => false,
             DiscoveryRange::Subnet => true,
             DiscoveryRange::Localhost => {
-                source.is_loopback()
-                    || addresses.contains(&source)
-                    || self.environment.static_peers.contains(&source)
+                source.is_loopback() || addresses.contains(&source) || self.peers.contains(source)
             }
         }
     }

@@ -1,6 +1,7 @@
 //! Datagrams of anyone: no panic, and no more state than there is room for.
 
 use super::*;
+use crate::environment::StaticPeer;
 use crate::rtps::discovery::{MAX_ENDPOINTS, MAX_PARTICIPANTS};
 use crate::rtps::wire::Submessage;
 use crate::rtps::wire::{Fragments, Heartbeat, NumberSet};
@@ -604,10 +605,11 @@ fn one_that_forgot_what_it_acknowledged_is_told_of_it_again() {
 
 #[test]
 fn others_are_not_heard_where_they_must_not_be() {
-    let (participant, _writer) = deaf(211);
+    let (mut participant, _writer) = deaf(211);
     let stranger = Ipv4Addr::new(203, 0, 113, 9);
     let here = participant_data([7; 12]);
-    participant.shared.receive(here.bytes(), stranger);
+    let there = participant_at([8; 12], &[stranger]);
+    participant.shared.receive(there.bytes(), stranger);
     assert_eq!(
         lock(&participant.shared.state).discovery.counts(),
         (0, 0, 0)
@@ -618,6 +620,14 @@ fn others_are_not_heard_where_they_must_not_be() {
     assert_eq!(
         lock(&participant.shared.state).discovery.counts(),
         (1, 0, 0)
+    );
+    // A static peer got that address.
+    let peers = Peers::new(&[StaticPeer::Address(stranger)]).unwrap();
+    Arc::get_mut(&mut participant.shared).unwrap().peers = peers;
+    participant.shared.receive(there.bytes(), stranger);
+    assert_eq!(
+        lock(&participant.shared.state).discovery.counts(),
+        (2, 0, 0)
     );
 }
 
