@@ -672,15 +672,18 @@ impl Shared {
         let addresses = lock(&self.state).addresses.clone();
         let sockets = &self.transport.sockets;
         sockets.join(&addresses);
-        let message = self.announcement(&addresses);
-        sockets.send_to_group(message.bytes(), &addresses);
-        sockets.send_to_host(message.bytes(), Ipv4Addr::LOCALHOST);
-        for peer in self.peers.addresses() {
-            sockets.send_to_host(message.bytes(), peer);
+        for address in &addresses {
+            let message = self.announcement(&addresses, *address);
+            sockets.send_to_group(message.bytes(), *address);
+        }
+        for host in [vec![Ipv4Addr::LOCALHOST], self.peers.addresses()].concat() {
+            let message = self.announcement(&addresses, sockets.source_to(host));
+            sockets.send_to_host(message.bytes(), host);
         }
     }
 
-    fn announcement(&self, addresses: &[Ipv4Addr]) -> Message {
+    /// "I am here", for those who hear it through the interface that has the address `via`.
+    fn announcement(&self, addresses: &[Ipv4Addr], via: Ipv4Addr) -> Message {
         let mut list = ParameterList::new();
         list.put(parameters::PROTOCOL_VERSION, &[2, 3]);
         list.put(parameters::VENDOR_ID, &[0, 0]);
@@ -688,7 +691,8 @@ impl Shared {
             parameters::PARTICIPANT_GUID,
             &self.guid(wire::PARTICIPANT).bytes(),
         );
-        for place in self.transport.sockets.places(&self.environment, addresses) {
+        let sockets = &self.transport.sockets;
+        for place in sockets.places(&self.environment, addresses, via) {
             list.locator(parameters::METATRAFFIC_LOCATOR, place);
             list.locator(parameters::DEFAULT_LOCATOR, place);
         }
@@ -728,7 +732,9 @@ impl Shared {
             sockets.send(message.bytes(), place.address);
         }
         if self.environment.range != DiscoveryRange::Off {
-            sockets.send_to_group(message.bytes(), &state.addresses);
+            for address in &state.addresses {
+                sockets.send_to_group(message.bytes(), *address);
+            }
         }
     }
 

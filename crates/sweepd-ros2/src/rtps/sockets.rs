@@ -86,14 +86,19 @@ impl Sockets {
         SocketAddrV4::new(Ipv4Addr::LOCALHOST, self.port)
     }
 
-    /// The places that others are told of: one on this host, and, where others are to hear of
-    /// us, that which the kernel would use itself, and further ones.
-    pub fn places(&self, environment: &Environment, addresses: &[Ipv4Addr]) -> Vec<SocketAddrV4> {
+    /// The places that others are told of who hear of us through the interface that has the address `via`:
+    /// that one, one on this host, and further ones. Where only this host is to hear of us, its alone.
+    pub fn places(
+        &self,
+        environment: &Environment,
+        addresses: &[Ipv4Addr],
+        via: Ipv4Addr,
+    ) -> Vec<SocketAddrV4> {
         let mut named = vec![Ipv4Addr::LOCALHOST];
         let elsewhere =
             environment.range == DiscoveryRange::Subnet || !environment.static_peers.is_empty();
         if elsewhere {
-            named.extend(self.usual_address());
+            named.insert(0, via);
             named.extend(addresses.iter().filter(|address| !address.is_loopback()));
         }
         let mut places: Vec<SocketAddrV4> = vec![];
@@ -106,13 +111,15 @@ impl Sockets {
         places
     }
 
-    /// The address that the kernel would send from to the group.
-    fn usual_address(&self) -> Option<Ipv4Addr> {
-        let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).ok()?;
-        socket.connect((GROUP, self.base_port)).ok()?;
-        match socket.local_addr().ok()? {
-            SocketAddr::V4(address) => Some(*address.ip()),
-            SocketAddr::V6(_) => None,
+    /// The address that the kernel sends from to that one; the loopback's where it knows no way.
+    pub fn source_to(&self, address: Ipv4Addr) -> Ipv4Addr {
+        let source = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).and_then(|socket| {
+            socket.connect((address, self.base_port))?;
+            socket.local_addr()
+        });
+        match source {
+            Ok(SocketAddr::V4(source)) => *source.ip(),
+            Ok(SocketAddr::V6(_)) | Err(_) => Ipv4Addr::LOCALHOST,
         }
     }
 
@@ -123,15 +130,11 @@ impl Sockets {
         }
     }
 
-    /// Sends to the group on every interface.
-    pub fn send_to_group(&self, message: &[u8], addresses: &[Ipv4Addr]) {
-        for address in addresses {
-            if socket2::SockRef::from(&self.unicast)
-                .set_multicast_if_v4(address)
-                .is_ok()
-            {
-                self.send(message, SocketAddrV4::new(GROUP, self.base_port));
-            }
+    /// Sends to the group on the interface that has an address.
+    pub fn send_to_group(&self, message: &[u8], via: Ipv4Addr) {
+        let unicast = socket2::SockRef::from(&self.unicast);
+        if unicast.set_multicast_if_v4(&via).is_ok() {
+            self.send(message, SocketAddrV4::new(GROUP, self.base_port));
         }
     }
 
@@ -202,5 +205,35 @@ pub fn receive<'a>(inbox: &UdpSocket, buffer: &'a mut [u8]) -> Option<(&'a [u8],
     match inbox.recv_from(buffer) {
         Ok((bytes, SocketAddr::V4(source))) => Some((&buffer[..bytes], *source.ip())),
         _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_hears_of_us_can_reach_the_place_that_is_named_first() {
+        let mut environment = Environment {
+            domain: 223,
+            range: DiscoveryRange::Subnet,
+            static_peers: vec![],
+        };
+        let sockets = Sockets::open(&environment).unwrap();
+        let net = |third| Ipv4Addr::new(192, 168, third, 1);
+        let own = [Ipv4Addr::LOCALHOST, net(1), net(2), net(3), net(4), net(5)];
+        let named = |environment: &Environment, via| {
+            let places = sockets.places(environment, &own, via);
+            let addresses = places.iter().map(|place| *place.ip());
+            addresses.collect::<Vec<Ipv4Addr>>()
+        };
+        for via in [1, 3, 5].map(net) {
+            let named = named(&environment, via);
+            assert_eq!((named[0], named.len()), (via, PLACES_NAMED));
+            assert!(named.contains(&Ipv4Addr::LOCALHOST));
+        }
+        assert_eq!(sockets.source_to(Ipv4Addr::LOCALHOST), Ipv4Addr::LOCALHOST);
+        environment.range = DiscoveryRange::Localhost;
+        assert_eq!(named(&environment, net(5)), [Ipv4Addr::LOCALHOST]);
     }
 }

@@ -164,7 +164,8 @@ impl Shared {
         if news == News::Known {
             return;
         }
-        let announcement = self.announcement(&state.addresses);
+        let via = self.transport.sockets.source_to(*place.address.ip());
+        let announcement = self.announcement(&state.addresses, via);
         out.message(place.address, announcement);
         let host = state.discovery.confirmed_host(prefix);
         if news == News::Unaware && host.is_some() {
