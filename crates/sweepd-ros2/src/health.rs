@@ -11,7 +11,7 @@ use serde_json::Value;
 use sweepd_client::client::Domain;
 use sweepd_client::host::realtime_ns;
 use sweepd_messages::diagnostics::{self, DAEMON, Level, Status};
-use sweepd_ros2::{Publisher, Subscriber};
+use sweepd_ros2::{Node, Publisher, Subscriber};
 use sweepd_sweep::Header;
 use sweepd_sweep::eye::{eye_faults, eye_sentence};
 use sweepd_sweep::height::HeightDoubt;
@@ -25,7 +25,8 @@ const ANSWER_BYTES: usize = 1 << 20;
 /// Numbers of `/health` that are no counters, and what its words tell.
 const UNTOLD: [&str; 3] = ["port", "position_port", "losses"];
 
-/// Subscribers of a topic that are named for what they lost: those that lost most.
+/// Subscribers of a topic that are named for what they lost, those that lost most, and others with whom
+/// something is wrong.
 const MOST_NAMED: usize = 10;
 
 /// Incomplete sweeps in a row that a run which ends and begins again has: its last and its first.
@@ -51,7 +52,12 @@ impl Diagnostics {
     }
 
     /// Publishes how the sensors are, if somebody reads it.
-    pub fn publish<'a>(&mut self, domain: &Domain, bridges: impl Iterator<Item = &'a Bridge>) {
+    pub fn publish<'a>(
+        &mut self,
+        domain: &Domain,
+        node: &Node,
+        bridges: impl Iterator<Item = &'a Bridge>,
+    ) {
         if self.publisher.readers() == 0 {
             return;
         }
@@ -59,6 +65,7 @@ impl Diagnostics {
         let mut statuses: Vec<Status> = daemon
             .iter()
             .map(|(at, said)| of_daemon(*at, said))
+            .chain([of_others(node.findings())])
             .collect();
         for bridge in bridges {
             let said = daemon
@@ -255,6 +262,27 @@ fn of_this(said: Result<Value, String>, root: &Path) -> Result<Value, String> {
             root.display()
         )),
         _ => Ok(said),
+    }
+}
+
+/// How others on the domain get on with this node.
+fn of_others(mut findings: Vec<String>) -> Status {
+    let more = findings.len().saturating_sub(MOST_NAMED);
+    findings.truncate(MOST_NAMED);
+    let (level, message) = match (findings.is_empty(), more) {
+        (true, _) => (Level::Ok, "all others are reached".to_owned()),
+        (false, 0) => (Level::Warn, findings.join("; ")),
+        (false, more) => (
+            Level::Warn,
+            format!("{}; and {more} more", findings.join("; ")),
+        ),
+    };
+    Status {
+        level,
+        name: diagnostics::name_of("ROS 2"),
+        message,
+        hardware_id: String::new(),
+        values: vec![],
     }
 }
 

@@ -320,7 +320,8 @@ impl Sensors<'_, '_> {
                 if diagnose_at <= now {
                     diagnose_at = now + DIAGNOSE_EVERY;
                 }
-                diagnostics.publish(self.domain, self.bridges.values().map(|bridge| &**bridge));
+                let bridges = self.bridges.values().map(|bridge| &**bridge);
+                diagnostics.publish(self.domain, self.graph.node, bridges);
             }
             let bridges: Vec<&Bridge> = self.bridges.values().map(|bridge| &**bridge).collect();
             let is_busy = self.services.serve(&bridges);

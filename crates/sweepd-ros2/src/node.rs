@@ -39,6 +39,13 @@ const LONGEST_TOPIC_NAME: usize = 247;
 /// The topic on which participants say which nodes they have.
 const GRAPH_TOPIC: &str = "ros_discovery_info";
 
+/// Messages of topics that many nodes publish.
+const SHARED: [&str; 3] = [
+    message_type::DIAGNOSTIC_ARRAY.name,
+    message_type::TF_MESSAGE.name,
+    rcl::LOG.name,
+];
+
 /// What readers that come late get.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Durability {
@@ -139,6 +146,7 @@ impl Node {
             transient_local: true,
             depth: 1,
             lifespan: None,
+            is_sole: false,
         });
         let inner = Inner {
             participant,
@@ -197,6 +205,7 @@ impl Node {
             transient_local: false,
             depth: SERVICE_DEPTH,
             lifespan: None,
+            is_sole: false,
         };
         let participant = &self.inner.participant;
         let replies = terms(format!("rr{name}Reply"), &service.reply);
@@ -214,6 +223,12 @@ impl Node {
             writer,
             early: Mutex::default(),
         })
+    }
+
+    /// What is wrong with others on the domain now, a sentence each: whom nothing reaches, who asks for more than
+    /// is offered, and who publishes the same topic. The log has each once.
+    pub fn findings(&self) -> Vec<String> {
+        self.inner.participant.findings()
     }
 
     /// Asks for messages, of which the newest `depth` wait to be taken, and of those at most 4 MiB. One of
@@ -238,6 +253,7 @@ impl Node {
             transient_local: quality == Quality::TransientLocal,
             depth,
             lifespan: None,
+            is_sole: false,
         };
         let reader = self.inner.participant.add_reader(asks, LARGEST_MESSAGE);
         let mut endpoints = self.inner.endpoints();
@@ -274,6 +290,7 @@ impl Inner {
             transient_local,
             depth,
             lifespan,
+            is_sole: !SHARED.contains(&message_type.name),
         });
         let mut endpoints = self.endpoints();
         endpoints.writers.push(writer.guid.bytes());

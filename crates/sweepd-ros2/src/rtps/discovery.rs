@@ -22,7 +22,7 @@ pub const MAX_ENDPOINTS: usize = 4096;
 const MAX_LOCATORS: usize = 16;
 
 /// How long a participant is known that has acknowledged nothing.
-const UNCONFIRMED_LEASE: Duration = Duration::from_secs(5);
+const UNCONFIRMED_LEASE: Duration = Duration::from_secs(10);
 
 /// A lease may be infinite; a participant that is gone is forgotten all the same.
 const LONGEST_LEASE: Duration = Duration::from_secs(300);
@@ -124,6 +124,9 @@ impl Place {
     }
 }
 
+/// A participant that names no address of UDP over IPv4 by which this host reaches it.
+pub struct Unreachable;
+
 /// What a participant says of itself.
 #[derive(Clone, Debug)]
 pub struct ParticipantData {
@@ -138,8 +141,12 @@ pub struct ParticipantData {
 }
 
 impl ParticipantData {
-    /// Reads it; none where it cannot be reached.
-    pub fn read(payload: &[u8], source: Ipv4Addr, own: &OwnAddresses) -> Option<Self> {
+    /// Reads it; none where it makes no sense.
+    pub fn read(
+        payload: &[u8],
+        source: Ipv4Addr,
+        own: &OwnAddresses,
+    ) -> Option<Result<Self, Unreachable>> {
         let (mut meta, mut user, mut lease) = (vec![], vec![], DEFAULT_LEASE);
         for (parameter, value) in parameters::read(payload)? {
             match parameter {
@@ -151,13 +158,19 @@ impl ParticipantData {
                 _ => {}
             }
         }
-        Some(Self {
-            meta: Place::choose(&meta, source, own)?,
+        let Some(place) = Place::choose(&meta, source, own) else {
+            return Some(Err(Unreachable));
+        };
+        if !user.is_empty() && Place::choose(&user, source, own).is_none() {
+            return Some(Err(Unreachable));
+        }
+        Some(Ok(Self {
+            meta: place,
             named: meta,
             user,
             source,
             lease,
-        })
+        }))
     }
 
     /// Whether what comes from an address comes from where it hears of others.
@@ -455,30 +468,32 @@ impl Discovery {
         }
     }
 
-    /// Forgets those that stay silent or acknowledge nothing, and names them; and where one of them has
-    /// readers, but has acknowledged nothing.
-    pub fn expire(&mut self, now: Instant) -> (Vec<Prefix>, Option<Place>) {
-        let silent = |participant: &Participant| {
-            let lease = participant.data.lease;
-            now.saturating_duration_since(participant.heard) > lease
-                || !participant.is_confirmed
-                    && now.saturating_duration_since(participant.since) > UNCONFIRMED_LEASE
+    /// Forgets those that stay silent or acknowledge nothing, and names them; and the place of each that goes
+    /// on to say that it is there, but has acknowledged nothing.
+    pub fn expire(&mut self, now: Instant) -> Vec<(Prefix, Option<Place>)> {
+        let expired = |(prefix, one): (&Prefix, &Participant)| {
+            let is_unheard =
+                !one.is_confirmed && now.saturating_duration_since(one.since) > UNCONFIRMED_LEASE;
+            let is_silent = now.saturating_duration_since(one.heard) > one.data.lease;
+            let goes_on = one.heard - one.since > UNCONFIRMED_LEASE / 2;
+            let place = (is_unheard && goes_on).then_some(one.data.meta);
+            (is_unheard || is_silent).then_some((*prefix, place))
         };
-        let gone: Vec<Prefix> = self
-            .participants
-            .iter()
-            .filter(|(_, participant)| silent(participant))
-            .map(|(prefix, _)| *prefix)
-            .collect();
-        let unheard = (gone
-            .iter()
-            .filter_map(|prefix| self.participants.get(prefix)))
-        .find(|one| !one.is_confirmed && !one.endpoints(Side::Readers).is_empty())
-        .map(|one| one.data.meta);
-        for prefix in &gone {
+        let gone: Vec<(Prefix, Option<Place>)> =
+            self.participants.iter().filter_map(expired).collect();
+        for (prefix, _) in &gone {
             self.forget(*prefix);
         }
-        (gone, unheard)
+        gone
+    }
+
+    /// Whether a participant is known, or an endpoint of one.
+    pub fn knows(&self, guid: Guid) -> bool {
+        self.participants.get(&guid.prefix).is_some_and(|one| {
+            let mut told = one.told.iter();
+            guid.entity == wire::PARTICIPANT
+                || told.any(|told| told.endpoints.contains_key(&guid.entity))
+        })
     }
 
     fn told(&mut self, prefix: Prefix, side: Side) -> Option<&mut Told> {
@@ -663,13 +678,14 @@ mod tests {
             discovery.participant([2; 12], data(20), after(5)),
             News::Unaware
         );
-        // The third has acknowledged nothing.
-        assert!(discovery.expire(after(5)).0.is_empty());
-        assert_eq!(discovery.expire(after(6)).0, [[3; 12]]);
+        discovery.participant([3; 12], data(20), after(6));
         assert!(discovery.hears([1; 12], Ipv4Addr::LOCALHOST, &[], after(9)));
         assert!(!discovery.hears([1; 12], Ipv4Addr::new(8, 8, 8, 8), &[], after(10)));
-        assert!(discovery.expire(after(19)).0.is_empty());
-        assert_eq!(discovery.expire(after(20)).0, [[1; 12]]);
-        assert_eq!(discovery.expire(after(26)).0, [[2; 12]]);
+        assert!(discovery.expire(after(10)).is_empty());
+        // The third goes on to say that it is there, and has acknowledged nothing.
+        assert_eq!(discovery.expire(after(11)), [([3; 12], Some(meta))]);
+        assert!(discovery.expire(after(19)).is_empty());
+        assert_eq!(discovery.expire(after(20)), [([1; 12], None)]);
+        assert_eq!(discovery.expire(after(26)), [([2; 12], None)]);
     }
 }

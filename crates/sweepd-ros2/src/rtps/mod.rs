@@ -41,6 +41,7 @@
 //! beside rclpy: whoever replaces this writer should run it with the new one.
 
 pub mod discovery;
+mod findings;
 pub mod flow;
 mod parameters;
 pub mod participant;

@@ -5,6 +5,7 @@
 //! rest of a sample. The state is locked for moments only, and never while something is sent.
 
 use super::discovery::{Discovery, Endpoint, Place, Side};
+use super::findings::Findings;
 use super::flow::{self, Delivery, Kind, Link, SocketMemory, Step, Transport, lock};
 use super::parameters::{self, ParameterList};
 use super::peers::Peers;
@@ -15,8 +16,7 @@ use super::terms::{Match, Terms};
 use super::wire::{self, Ack, EntityId, Guid, Message, Prefix, Route};
 use super::writer::{Counters, Outbox, ReaderCount, Writer};
 use crate::environment::{DiscoveryRange, Environment};
-use crate::log;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, Read};
 use std::net::{Ipv4Addr, SocketAddrV4};
@@ -50,13 +50,6 @@ const DISPOSALS: usize = 32;
 /// may be another's.
 const ANSWER_RATIO: usize = 3;
 
-/// Between warnings that there is no room for others.
-const TELL_EVERY: Duration = Duration::from_secs(60);
-
-/// Readers and writers of which it was told once that they do not match. When that many were told of,
-/// others are told of [`TELL_EVERY`] after the first.
-const MAX_WARNINGS: usize = 64;
-
 /// The builtin endpoints that we have: a writer and a reader each of participants, publications and
 /// subscriptions.
 const BUILTIN_ENDPOINTS: u32 = 0x3f;
@@ -72,8 +65,6 @@ struct State {
     entities: u32,
     /// When it was told last that there is no room for others.
     told_full: Option<Instant>,
-    /// When it was told last that somebody acknowledges nothing.
-    told_unheard: Option<Instant>,
 }
 
 struct Shared {
@@ -171,6 +162,10 @@ impl Participant {
         let State {
             discovery, ways, ..
         } = &mut *state;
+        for rival in discovery.endpoints(Side::Writers) {
+            let host = discovery.confirmed_host(rival.guid.prefix);
+            ways.find_rival(&offer, rival, host);
+        }
         for reader in discovery.endpoints(Side::Readers) {
             let host = discovery.confirmed_host(reader.guid.prefix);
             ways.join((&offer, &mut writer), reader, host, &mut out);
@@ -239,6 +234,14 @@ impl Participant {
         let mut state = lock(&self.shared.state);
         let writer = state.writers.get_mut(&writer.guid.entity);
         writer.map_or_else(Vec::new, |(_, writer)| writer.buffer())
+    }
+
+    /// What is wrong with others on the domain.
+    pub fn findings(&self) -> Vec<String> {
+        let State {
+            discovery, ways, ..
+        } = &*lock(&self.shared.state);
+        (ways.findings).lasting(Instant::now(), |of| discovery.knows(of))
     }
 
     /// The readers of a writer, and how full their sockets are where the kernel says.
@@ -331,11 +334,7 @@ fn endpoint(guid: Guid, participant: Guid, terms: &Terms) -> Vec<u8> {
 #[derive(Default)]
 struct Ways {
     links: BTreeMap<SocketAddrV4, Arc<Link>>,
-    /// Readers that ask for more than is offered, and writers that offer too little, which were told of.
-    /// They stay when they are forgotten: one that comes back is not told of again.
-    warned: BTreeSet<Guid>,
-    /// When the first of those was told of.
-    warned_since: Option<Instant>,
+    findings: Findings,
     /// One count for all, so that it goes on for one that was forgotten and comes back.
     acknacks: u32,
 }
@@ -363,13 +362,14 @@ impl Ways {
                 writer.add_reader(reader, link, is_confirmed, Instant::now(), out);
             }
             Match::AsksFor(what) => {
-                if confirmed_host.is_some() && self.is_news(reader) {
-                    log::warn(format_args!(
-                        "{}: a subscriber at {} asks for {what}, which is not offered: it \
-                         gets nothing until it asks for less",
-                        offer.ros_topic(),
-                        reader.place.address
-                    ));
+                if confirmed_host.is_some() {
+                    let (topic, address) = (offer.ros_topic(), reader.place.address);
+                    self.findings.find(reader.guid, Instant::now(), || {
+                        format!(
+                            "{topic}: a subscriber at {address} asks for {what}, which is not offered: it gets \
+                             nothing until it asks for less"
+                        )
+                    });
                 }
             }
         }
@@ -393,28 +393,31 @@ impl Ways {
             }
             Match::Yes | Match::No => {}
             Match::AsksFor(what) => {
-                if confirmed_host.is_some() && self.is_news(writer) {
-                    log::warn(format_args!(
-                        "{}: a publisher at {} does not offer {what}, which is asked for: nothing \
-                         is taken of it until it offers more",
-                        reader.terms.ros_topic(),
-                        writer.place.address
-                    ));
+                if confirmed_host.is_some() {
+                    let (topic, address) = (reader.terms.ros_topic(), writer.place.address);
+                    self.findings.find(writer.guid, Instant::now(), || {
+                        format!(
+                            "{topic}: a publisher at {address} does not offer {what}, which is asked for: nothing \
+                             is taken of it until it offers more"
+                        )
+                    });
                 }
             }
         }
     }
 
-    /// Whether an endpoint that does not match is to be told of.
-    fn is_news(&mut self, endpoint: &Endpoint) -> bool {
-        let is_due = self.warned_since.is_none_or(|at| at.elapsed() > TELL_EVERY);
-        if self.warned.len() == MAX_WARNINGS && is_due {
-            self.warned.clear();
+    /// Warns of another writer of a topic that is ours alone.
+    fn find_rival(&mut self, offer: &Terms, writer: &Endpoint, confirmed_host: Option<Ipv4Addr>) {
+        let is_same = offer.topic == writer.topic && offer.type_name == writer.type_name;
+        if offer.is_sole && is_same && confirmed_host.is_some() {
+            let (topic, address) = (offer.ros_topic(), writer.place.address);
+            self.findings.find(writer.guid, Instant::now(), || {
+                format!(
+                    "{topic}: a node at {address} publishes it too, and subscribers get both; end one of the two, or \
+                     give it another name or namespace"
+                )
+            });
         }
-        if self.warned.is_empty() {
-            self.warned_since = Some(Instant::now());
-        }
-        self.warned.len() < MAX_WARNINGS && self.warned.insert(endpoint.guid)
     }
 
     /// What a reader of ours has of a writer.
@@ -447,7 +450,6 @@ impl Shared {
             addresses: sockets::addresses()?,
             entities: 0,
             told_full: None,
-            told_unheard: None,
         };
         Ok(Self {
             prefix,
@@ -646,13 +648,23 @@ impl Shared {
     fn tick(&self, now: Instant) -> Outbox {
         let mut out = Outbox::default();
         let mut state = lock(&self.state);
-        let (gone, unheard) = state.discovery.expire(now);
-        for prefix in gone {
+        for (prefix, unheard) in state.discovery.expire(now) {
             state.forget(prefix);
+            if let Some(place) = unheard {
+                let who = Guid::new(prefix, wire::PARTICIPANT);
+                self.find_unheard(&mut state, (None, who), place, now);
+            }
         }
-        state.tell_unheard(unheard, now);
-        for (_, writer) in state.writers.values_mut() {
+        let mut unheard = vec![];
+        for (offer, writer) in state.writers.values_mut() {
             writer.tick(now, &mut out);
+            if let Some(offer) = offer {
+                let of_topic = writer.unheard(now);
+                unheard.extend(of_topic.map(|one| (offer.ros_topic().to_owned(), one)));
+            }
+        }
+        for (topic, (who, place)) in unheard {
+            self.find_unheard(&mut state, (Some(&topic), who), place, now);
         }
         state.fill_readers(&mut out);
         self.ask_again(&mut state, now, &mut out);

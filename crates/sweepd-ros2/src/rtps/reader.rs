@@ -396,6 +396,7 @@ pub mod tests {
             transient_local: false,
             depth,
             lifespan: None,
+            is_sole: false,
         };
         let mut reader = Reader::new(Guid::new([9; 12], [0, 0, 1, 4]), terms, LARGEST);
         for guid in writers {

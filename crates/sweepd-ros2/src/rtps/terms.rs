@@ -21,6 +21,8 @@ pub struct Terms {
     pub depth: usize,
     /// For how long readers that come late get them, if not for ever.
     pub lifespan: Option<Duration>,
+    /// Whether nobody else is to write to the topic.
+    pub is_sole: bool,
 }
 
 /// How a reader and a writer go together.

@@ -23,6 +23,9 @@ const LONGEST_INTERVAL: Duration = Duration::from_secs(3);
 /// Shortest time between two repairs of a sample for a reader.
 const REPAIR_INTERVAL: Duration = Duration::from_millis(20);
 
+/// How long a reader may acknowledge nothing.
+const HEARD_WITHIN: Duration = Duration::from_secs(10);
+
 /// Messages, and repairs, that follow from one datagram or one tick.
 pub const OUTBOX: usize = 1024;
 
@@ -83,6 +86,8 @@ struct Reader {
     /// Its participant has acknowledged something from its host. Nothing goes to anyone else: the
     /// address may be another's.
     is_confirmed: bool,
+    /// When it was there first.
+    since: Instant,
     /// It gets no sample before this.
     from: u64,
     /// It has all up to this.
@@ -216,6 +221,7 @@ impl Writer {
             reliable: data.reliable,
             names_hash: data.names_hash,
             is_confirmed,
+            since: now,
             from,
             acknowledged: from - 1,
             has_answered: false,
@@ -539,6 +545,19 @@ impl Writer {
             message.heartbeat(guid.entity, self.guid.entity, pulse.beat());
             out.message(reader.link.place.address, message);
         }
+    }
+
+    /// The readers that should have acknowledged something by now, and where they are. One of best effort says
+    /// nothing, but its participant does.
+    pub fn unheard(&self, now: Instant) -> impl Iterator<Item = (Guid, Place)> {
+        let readers = self.readers.iter().filter(move |(_, reader)| {
+            let is_heard = match reader.reliable {
+                true => reader.has_answered,
+                false => reader.is_confirmed,
+            };
+            !is_heard && now.saturating_duration_since(reader.since) > HEARD_WITHIN
+        });
+        readers.map(|(guid, reader)| (*guid, reader.link.place))
     }
 
     /// A heartbeat for a reader that has acknowledged nothing yet: what it says then shows where it is.

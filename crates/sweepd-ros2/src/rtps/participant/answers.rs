@@ -1,17 +1,19 @@
 //! What follows from what others say: whom we meet, who reads and writes what, and who misses what.
 
-use super::{ANSWER_RATIO, Shared, State, TELL_EVERY};
+use super::{ANSWER_RATIO, Shared, State};
 use crate::log;
 use crate::rtps::discovery::{
-    Endpoint, MAX_ENDPOINTS, MAX_PARTICIPANTS, News, ParticipantData, Place, Side, is_own,
+    Endpoint, MAX_ENDPOINTS, MAX_PARTICIPANTS, News, ParticipantData, Place, Side, Unreachable,
+    is_own,
 };
+use crate::rtps::findings::TELL_EVERY;
 use crate::rtps::flow::lock;
 use crate::rtps::parameters;
 use crate::rtps::reader::Reader;
 use crate::rtps::wire::{self, ANY_READER, Data, EntityId, Guid, Prefix, Submessage};
 use crate::rtps::writer::Outbox;
 use std::collections::BTreeMap;
-use std::net::Ipv4Addr;
+use std::net::{Ipv4Addr, SocketAddrV4};
 use std::time::Instant;
 
 impl Shared {
@@ -51,10 +53,12 @@ impl Shared {
                         state.discovery.forget(prefix);
                         state.forget(prefix);
                     }
-                } else if let Some(meets) =
-                    ParticipantData::read(data.payload, source, &state.addresses)
-                {
-                    self.meet(state, prefix, meets, out);
+                    return;
+                }
+                match ParticipantData::read(data.payload, source, &state.addresses) {
+                    Some(Ok(meets)) => self.meet(state, prefix, meets, out),
+                    Some(Err(Unreachable)) => state.find_unreachable(prefix, source, now),
+                    None => {}
                 }
             }
             // Anyone can speak in its name.
@@ -118,6 +122,8 @@ impl Shared {
         {
             return;
         }
+        let participant = Guid::new(prefix, wire::PARTICIPANT);
+        state.ways.findings.end(participant);
         if let Some(host) = state.discovery.confirmed_host(prefix) {
             for (_, writer) in state.writers.values_mut() {
                 writer.confirm(prefix, host, Instant::now(), out);
@@ -127,6 +133,32 @@ impl Shared {
             state.join(prefix, side, None, out);
             self.ask_for_endpoints(state, prefix, side, out);
         }
+    }
+
+    /// Warns of a participant, or of a subscriber of a topic, from which nothing comes back.
+    pub(super) fn find_unheard(
+        &self,
+        state: &mut State,
+        (topic, who): (Option<&str>, Guid),
+        place: Place,
+        now: Instant,
+    ) {
+        state.ways.findings.find(who, now, || {
+            let what = match topic {
+                Some(topic) => format!("{topic}: a subscriber"),
+                None => "a participant".to_owned(),
+            };
+            let sockets = &self.transport.sockets;
+            let via = sockets.source_to(*place.address.ip());
+            let named = sockets.places(&self.environment, &state.addresses, via);
+            let named: Vec<String> = named.iter().map(SocketAddrV4::to_string).collect();
+            format!(
+                "{what} at {} has acknowledged nothing for 10 s, and gets nothing: it was told that we are at {}; a \
+                 firewall or an address translation may be between",
+                place.address,
+                named.join(", ")
+            )
+        });
     }
 
     /// Says to a participant of which of its endpoints we have heard.
@@ -232,16 +264,17 @@ impl State {
         });
     }
 
-    /// Warns, now and then, of subscribers that get nothing because they acknowledged nothing.
-    pub(super) fn tell_unheard(&mut self, unheard: Option<Place>, now: Instant) {
-        let is_due = self.told_unheard.is_none_or(|at| now - at > TELL_EVERY);
-        if let Some(place) = unheard.filter(|_| is_due) {
-            self.told_unheard = Some(now);
-            log::warn(format_args!(
-                "a participant with subscribers at {} gets nothing: nothing was acknowledged from there",
-                place.address
-            ));
-        }
+    /// Warns of a participant that cannot be reached.
+    fn find_unreachable(&mut self, prefix: Prefix, source: Ipv4Addr, now: Instant) {
+        let who = Guid::new(prefix, wire::PARTICIPANT);
+        self.ways.findings.find(who, now, || {
+            let id: Vec<String> = prefix.iter().map(|byte| format!("{byte:02x}")).collect();
+            format!(
+                "the participant at {source} whose GIDs begin with {} gets nothing: it names no address of UDP over \
+                 IPv4 that is reached from here; FASTDDS_BUILTIN_TRANSPORTS must be unset there, DEFAULT or UDPv4",
+                id.join(".")
+            )
+        });
     }
 
     /// Brings the endpoints of a participant together with those of ours that they match: one, or all of a
@@ -256,11 +289,14 @@ impl State {
                 for reader in self.readers.values_mut() {
                     self.ways.join_writer(reader, endpoint, host, out);
                 }
-                continue;
             }
             for (offer, writer) in self.writers.values_mut() {
-                if let Some(offer) = offer {
-                    self.ways.join((offer, writer), endpoint, host, out);
+                match (side, offer) {
+                    (Side::Readers, Some(offer)) => {
+                        self.ways.join((offer, writer), endpoint, host, out);
+                    }
+                    (Side::Writers, Some(offer)) => self.ways.find_rival(offer, endpoint, host),
+                    (_, None) => {}
                 }
             }
         }
@@ -303,6 +339,7 @@ impl State {
                 let from = Guid::new(prefix, reader);
                 if let Some((_, writer)) = self.writers.get_mut(&writer) {
                     writer.acknack(from, &ack, now, out);
+                    self.ways.findings.end(from);
                 }
             }
             Submessage::NackFragment {

@@ -2,7 +2,8 @@
 
 use super::*;
 use crate::environment::StaticPeer;
-use crate::rtps::discovery::{MAX_ENDPOINTS, MAX_PARTICIPANTS};
+use crate::rtps::discovery::{MAX_ENDPOINTS, MAX_PARTICIPANTS, ParticipantData};
+use crate::rtps::findings::MAX_FINDINGS;
 use crate::rtps::wire::Submessage;
 use crate::rtps::wire::{Fragments, Heartbeat, NumberSet};
 use crate::rtps::writer::OUTBOX;
@@ -37,6 +38,7 @@ fn deaf_within(domain: u16, range: DiscoveryRange) -> (Participant, WriterHandle
         transient_local: true,
         depth: 5,
         lifespan: None,
+        is_sole: true,
     });
     for _ in 0..7 {
         participant.write(&writer, Body::Same(vec![0; 200_000]));
@@ -55,6 +57,7 @@ fn with_readers(participant: &Participant) -> [ReaderHandle; 2] {
             transient_local: false,
             depth: 5,
             lifespan: None,
+            is_sole: false,
         };
         participant.add_reader(asks, 10_000)
     })
@@ -94,6 +97,18 @@ fn acks(out: &Outbox, to: Prefix) -> BTreeMap<EntityId, Ack> {
         _ => None,
     });
     acks.collect()
+}
+
+/// What a participant says of itself in a message.
+fn data_at(message: &Message, source: Ipv4Addr) -> ParticipantData {
+    let mut said = wire::read(message.bytes(), [0; 12]).unwrap();
+    let Some(Submessage::Data(data)) = said.next() else {
+        panic!("no data");
+    };
+    match ParticipantData::read(data.payload, source, &[]) {
+        Some(Ok(data)) => data,
+        _ => panic!("no place"),
+    }
 }
 
 /// "You have told me of no writer of yours."
@@ -248,7 +263,7 @@ fn take(participant: &Participant, datagram: &[u8]) -> Outbox {
     let (participants, readers, writers) = state.discovery.counts();
     assert!(participants <= MAX_PARTICIPANTS && readers.max(writers) <= MAX_ENDPOINTS);
     assert!(state.ways.links.len() <= participants + readers);
-    assert!(state.ways.warned.len() <= MAX_WARNINGS);
+    assert!(state.ways.findings.len() <= MAX_FINDINGS);
     for reader in state.readers.values() {
         reader.check_bounds();
     }
@@ -712,7 +727,7 @@ fn samples_go_to_no_address_from_which_nothing_was_acknowledged() {
     assert_eq!(written_to(&participant, &writer), [honest]);
 
     // Those that acknowledge nothing are forgotten within seconds.
-    participant.shared.tick(later + Duration::from_secs(4));
+    participant.shared.tick(later + Duration::from_secs(9));
     assert_eq!(
         lock(&participant.shared.state).discovery.counts(),
         (1, 1, 0)
@@ -797,12 +812,120 @@ fn only_of_those_that_acknowledge_something_is_it_told_that_they_do_not_match() 
     list.string(parameters::TYPE_NAME, TYPE);
     list.numbers(parameters::OWNERSHIP, &[1]);
     let exclusive = data(prefix, wire::PUBLICATIONS_WRITER, 1, &list.end());
-    let told = || lock(&participant.shared.state).ways.warned.len();
+    let told = || lock(&participant.shared.state).ways.findings.len();
     take(&participant, participant_data(prefix).bytes());
     take(&participant, exclusive.bytes());
     assert_eq!(told(), 0);
     take(&participant, acknowledgement(prefix, &participant).bytes());
     assert_eq!(told(), 1);
+}
+
+/// What is wrong at a time.
+fn findings(participant: &Participant, now: Instant) -> Vec<String> {
+    let state = lock(&participant.shared.state);
+    let known = |of| state.discovery.knows(of);
+    state.ways.findings.lasting(now, known)
+}
+
+#[test]
+fn who_acknowledges_nothing_is_told_of_with_the_addresses_that_it_was_told() {
+    let (participant, writer) = deaf_within(224, DiscoveryRange::Subnet);
+    let there = Ipv4Addr::new(198, 51, 100, 7);
+    let receive = |message: &Message| participant.shared.receive(message.bytes(), there);
+    let [mute, begins] = [[7; 12], [8; 12]];
+    let start = Instant::now();
+    let after = |seconds| start + Duration::from_secs(seconds);
+    for prefix in [mute, begins] {
+        receive(&participant_at(prefix, &[there]));
+    }
+    lock(&participant.shared.state).discovery.participant(
+        mute,
+        data_at(&participant_at(mute, &[there]), there),
+        after(6),
+    );
+    participant.shared.tick(after(9));
+    assert!(findings(&participant, after(9)).is_empty());
+    participant.shared.tick(after(11));
+    // One that was there once may have gone.
+    let [told] = &findings(&participant, after(11))[..] else {
+        panic!("{:?}", findings(&participant, after(11)));
+    };
+    let own = participant.shared.transport.sockets.own().port();
+    assert!(
+        told.contains("198.51.100.7:9 has acknowledged nothing for 10 s"),
+        "{told}"
+    );
+    assert!(told.contains(&format!("127.0.0.1:{own}")), "{told}");
+    assert!(findings(&participant, after(50)).is_empty());
+
+    // It acknowledges something; a reader of its does not.
+    receive(&participant_at(mute, &[there]));
+    receive(&acknowledgement(mute, &participant));
+    receive(&reader_data(mute, 1, 1));
+    assert!(findings(&participant, Instant::now()).is_empty());
+    assert_eq!(writer.counters.readers.load(Ordering::Relaxed), 1);
+    participant.shared.tick(after(12));
+    let told = findings(&participant, after(12));
+    assert!(
+        told.len() == 1 && told[0].starts_with("/points: a subscriber at 198.51"),
+        "{told:?}"
+    );
+    let mut acks = Message::to(mute, participant.guid().prefix);
+    acks.acknack(
+        [0, 0, 1, 4],
+        writer.guid.entity,
+        &asking_for(NumberSet::new(1)),
+        1,
+    );
+    receive(&acks);
+    participant.shared.tick(after(13));
+    assert!(findings(&participant, after(13)).is_empty());
+}
+
+#[test]
+fn who_names_no_address_of_ipv4_is_told_of_once() {
+    let (participant, _writer) = deaf(225);
+    let prefix = [0xab; 12];
+    let nowhere = participant_at(prefix, &[]);
+    for _ in 0..3 {
+        take(&participant, nowhere.bytes());
+    }
+    let now = Instant::now();
+    let [told] = &findings(&participant, now)[..] else {
+        panic!("{:?}", findings(&participant, now));
+    };
+    assert!(
+        told.contains("127.0.0.1 whose GIDs begin with ab.ab.ab"),
+        "{told}"
+    );
+    take(&participant, participant_data(prefix).bytes());
+    take(&participant, acknowledgement(prefix, &participant).bytes());
+    assert!(findings(&participant, now).is_empty());
+}
+
+#[test]
+fn another_publisher_of_the_same_topic_is_told_of_for_as_long_as_it_is_there() {
+    let (participant, _writer) = deaf(226);
+    let prefix = [7; 12];
+    take(&participant, participant_data(prefix).bytes());
+    let guid = Guid::new(prefix, WRITER);
+    take(
+        &participant,
+        endpoint_data(guid, Side::Writers, 1, TOPIC).bytes(),
+    );
+    assert!(findings(&participant, Instant::now()).is_empty());
+    take(&participant, acknowledgement(prefix, &participant).bytes());
+    let later = Instant::now() + Duration::from_secs(100);
+    let told = findings(&participant, later);
+    assert!(
+        told.len() == 1 && told[0].contains("publishes it too"),
+        "{told:?}"
+    );
+    take(
+        &participant,
+        ended(prefix, Side::Writers, WRITER, 2).bytes(),
+    );
+    assert!(findings(&participant, later).is_empty());
 }
 
 #[test]

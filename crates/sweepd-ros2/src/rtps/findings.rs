@@ -1,0 +1,80 @@
+//! What is wrong with others on the domain: each is a line of the log once, and is there for as long as it
+//! lasts.
+
+use super::wire::Guid;
+use crate::log;
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+/// Findings that are kept. When there are that many, others are told of [`TELL_EVERY`] after the first.
+pub const MAX_FINDINGS: usize = 16;
+
+/// Between warnings of a kind that anyone can cause.
+pub const TELL_EVERY: Duration = Duration::from_secs(60);
+
+/// How long a finding lasts when what it is about is no longer known: participants announce themselves more
+/// often.
+const LASTS: Duration = Duration::from_secs(30);
+
+struct Finding {
+    text: String,
+    found: Instant,
+    has_ended: bool,
+}
+
+/// The findings, by the participant or endpoint that they are about. They stay when that is forgotten: one that
+/// comes back is not told of again.
+#[derive(Default)]
+pub struct Findings {
+    all: BTreeMap<Guid, Finding>,
+    /// When the first of them was found.
+    since: Option<Instant>,
+}
+
+impl Findings {
+    /// Something is wrong with a participant or an endpoint.
+    pub fn find(&mut self, of: Guid, now: Instant, text: impl FnOnce() -> String) {
+        if let Some(known) = self.all.get_mut(&of) {
+            (known.found, known.has_ended) = (now, false);
+            return;
+        }
+        let is_due = self.since.is_none_or(|since| now - since > TELL_EVERY);
+        if self.all.len() == MAX_FINDINGS && is_due {
+            self.all.clear();
+        }
+        if self.all.is_empty() {
+            self.since = Some(now);
+        }
+        if self.all.len() < MAX_FINDINGS {
+            let finding = Finding {
+                text: text(),
+                found: now,
+                has_ended: false,
+            };
+            log::warn(format_args!("{}", finding.text));
+            self.all.insert(of, finding);
+        }
+    }
+
+    /// It is well again.
+    pub fn end(&mut self, of: Guid) {
+        if let Some(finding) = self.all.get_mut(&of) {
+            finding.has_ended = true;
+        }
+    }
+
+    /// What is wrong now.
+    pub fn lasting(&self, now: Instant, is_known: impl Fn(Guid) -> bool) -> Vec<String> {
+        let lasts = |(of, one): &(&Guid, &Finding)| {
+            !one.has_ended && (is_known(**of) || now < one.found + LASTS)
+        };
+        let lasting = self.all.iter().filter(lasts);
+        lasting.map(|(_, one)| one.text.clone()).collect()
+    }
+
+    /// How many are kept.
+    #[cfg(test)]
+    pub fn len(&self) -> usize {
+        self.all.len()
+    }
+}
