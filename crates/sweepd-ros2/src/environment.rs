@@ -1,10 +1,55 @@
 //! What the environment says of the domain, in the variables that ROS 2 has for it.
 
+use crate::log;
 use std::env;
 use std::net::Ipv4Addr;
 
 /// The highest domain that there are ports for.
 const LAST_DOMAIN: u16 = 232;
+
+const NO_SERVER: &str = "this node asks no discovery server, and nodes that do so do not see it; \
+     unset it for those that are to hear this node; where multicast does not reach them, set \
+     ROS_STATIC_PEERS";
+const NO_PROFILES: &str = "this node reads no profiles, and uses all interfaces of this host; \
+     choose whom it speaks with by ROS_AUTOMATIC_DISCOVERY_RANGE and ROS_STATIC_PEERS";
+
+/// True for a value that tells ROS to do otherwise than this node.
+type Matters = fn(&str) -> bool;
+
+/// Variables that decide who hears whom and that this node cannot obey, and what to do instead.
+const NOT_OBEYED: [(&str, Matters, &str); 8] = [
+    (
+        "ROS_SECURITY_ENABLE",
+        |value| value == "true",
+        "this node has no DDS Security, and sends in clear; nodes that enforce it do not hear \
+         this one; unset it for this node",
+    ),
+    ("ROS_DISCOVERY_SERVER", is_set, NO_SERVER),
+    ("ROS2_EASY_MODE", is_set, NO_SERVER),
+    (
+        "RMW_IMPLEMENTATION",
+        |value| {
+            is_set(value)
+                && !["dds", "rtps", "connext"]
+                    .iter()
+                    .any(|dds| value.contains(dds))
+        },
+        "this node speaks DDS (RTPS), and nodes of other middleware do not hear it; set \
+         rmw_fastrtps_cpp or rmw_cyclonedds_cpp for those that are to hear it",
+    ),
+    (
+        "FASTDDS_BUILTIN_TRANSPORTS",
+        |value| {
+            let (transports, _options) = value.split_once('?').unwrap_or((value, ""));
+            !["", "DEFAULT", "UDPv4"].contains(&transports)
+        },
+        "this node sends by UDPv4 alone, and nodes with other transports get nothing of it; set \
+         DEFAULT or UDPv4 for those that are to hear it",
+    ),
+    ("FASTRTPS_DEFAULT_PROFILES_FILE", is_set, NO_PROFILES),
+    ("FASTDDS_DEFAULT_PROFILES_FILE", is_set, NO_PROFILES),
+    ("CYCLONEDDS_URI", is_set, NO_PROFILES),
+];
 
 /// How far participants look for each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,7 +82,7 @@ pub struct Environment {
     pub static_peers: Vec<StaticPeer>,
 }
 
-/// A variable of the environment that makes no sense.
+/// A variable of the environment that makes no sense, or asks for what this node cannot do.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{variable} is `{value}`: {cure}")]
 #[non_exhaustive]
@@ -49,17 +94,28 @@ pub struct EnvironmentError {
 
 impl Environment {
     /// Reads `ROS_DOMAIN_ID`, `ROS_AUTOMATIC_DISCOVERY_RANGE`, `ROS_STATIC_PEERS` and
-    /// `ROS_LOCALHOST_ONLY`. What is unset or empty has ROS' default: domain 0, `SUBNET`.
+    /// `ROS_LOCALHOST_ONLY`. What is unset or empty has ROS' default: domain 0, `SUBNET`. Other variables that
+    /// decide who hears whom, as `ROS_DISCOVERY_SERVER`, are told in the [`log`] as warnings.
     ///
     /// # Errors
-    /// A variable that ROS would not take.
+    /// A variable that ROS would not take, or DDS Security enforced (`ROS_SECURITY_STRATEGY`), which this
+    /// node does not have.
     pub fn from_env() -> Result<Self, EnvironmentError> {
-        Self::from_variables(|name| env::var_os(name).map(|value| value.to_string_lossy().into()))
+        let get = |name| env::var_os(name).map(|value| value.to_string_lossy().into());
+        let environment = Self::from_variables(get)?;
+        for not_obeyed in not_obeyed(get) {
+            log::warn(format_args!("{not_obeyed}"));
+        }
+        Ok(environment)
     }
 
     fn from_variables(
         get: impl Fn(&'static str) -> Option<String>,
     ) -> Result<Self, EnvironmentError> {
+        // As in rcl, it counts only where security is enabled.
+        if get("ROS_SECURITY_ENABLE").is_some_and(|value| value == "true") {
+            read(&get, "ROS_SECURITY_STRATEGY", read_strategy)?;
+        }
         let domain = read(&get, "ROS_DOMAIN_ID", read_domain)?;
         let mut range = read(&get, "ROS_AUTOMATIC_DISCOVERY_RANGE", read_range)?;
         let mut static_peers = read(&get, "ROS_STATIC_PEERS", read_peers)?;
@@ -91,6 +147,42 @@ fn read<T>(
         value,
         cure,
     })
+}
+
+/// Returns the variables that this node does not obey, though it matters.
+fn not_obeyed(get: impl Fn(&'static str) -> Option<String>) -> Vec<EnvironmentError> {
+    let told = |(variable, matters, cure): (&'static str, Matters, &str)| {
+        let value = get(variable).filter(|value| matters(value))?;
+        Some(EnvironmentError {
+            variable,
+            value: in_a_line(&value),
+            cure: cure.to_owned(),
+        })
+    };
+    NOT_OBEYED.into_iter().filter_map(told).collect()
+}
+
+/// Returns the beginning of a value: CYCLONEDDS_URI may be a whole document.
+fn in_a_line(value: &str) -> String {
+    const LONGEST: usize = 60;
+    let end = value.char_indices().nth(LONGEST);
+    let (beginning, dots) = end.map_or((value, ""), |(end, _)| (&value[..end], "..."));
+    beginning.replace(char::is_control, " ") + dots
+}
+
+fn is_set(value: &str) -> bool {
+    !value.is_empty()
+}
+
+fn read_strategy(value: &str) -> Result<(), String> {
+    match value {
+        "Enforce" => Err(
+            "this node has no DDS Security; unset ROS_SECURITY_ENABLE for it to let it send in \
+             clear"
+                .to_owned(),
+        ),
+        _ => Ok(()),
+    }
 }
 
 fn read_domain(value: &str) -> Result<u16, String> {
@@ -292,6 +384,99 @@ mod tests {
                  name; separate peers by `;`"
             );
             assert_eq!(read(&[(PEERS, &format!("a;{peer}"))]), Err(error));
+        }
+    }
+
+    /// Warnings of one variable.
+    fn warnings(variable: &str, value: &str) -> Vec<String> {
+        let get = |name: &'static str| (name == variable).then(|| value.to_owned());
+        let warnings = not_obeyed(get);
+        warnings.iter().map(|warning| warning.to_string()).collect()
+    }
+
+    #[test]
+    fn what_cannot_be_obeyed_is_told_where_it_matters() {
+        let told = [
+            ("ROS_SECURITY_ENABLE", "true", "DDS Security"),
+            ("ROS_DISCOVERY_SERVER", "10.0.0.1:11811", "discovery server"),
+            ("ROS_DISCOVERY_SERVER", ";", "discovery server"),
+            ("ROS2_EASY_MODE", "10.0.0.1", "discovery server"),
+            ("RMW_IMPLEMENTATION", "rmw_zenoh_cpp", "rmw_fastrtps_cpp"),
+            ("RMW_IMPLEMENTATION", "rmw_iceoryx_cpp", "rmw_fastrtps_cpp"),
+            ("FASTDDS_BUILTIN_TRANSPORTS", "LARGE_DATA", "UDPv4"),
+            (
+                "FASTDDS_BUILTIN_TRANSPORTS",
+                "LARGE_DATA?max_msg_size=1MB",
+                "UDPv4",
+            ),
+            ("FASTDDS_BUILTIN_TRANSPORTS", "SHM", "UDPv4"),
+            ("FASTDDS_BUILTIN_TRANSPORTS", "DEFAULTv6", "UDPv4"),
+            ("FASTRTPS_DEFAULT_PROFILES_FILE", "wifi.xml", RANGE),
+            ("FASTDDS_DEFAULT_PROFILES_FILE", "wifi.xml", RANGE),
+            ("CYCLONEDDS_URI", "file:///etc/cyclone.xml", PEERS),
+        ];
+        for (variable, value, cure) in told {
+            let warnings = warnings(variable, value);
+            let begins = format!("{variable} is `{value}`: ");
+            assert!(
+                matches!(&warnings[..], [one] if one.starts_with(&begins) && one.contains(cure)),
+                "{warnings:?}"
+            );
+        }
+        let harmless = [
+            ("ROS_SECURITY_ENABLE", "True"),
+            ("ROS_SECURITY_ENABLE", "1"),
+            ("ROS_SECURITY_STRATEGY", "Enforce"),
+            ("ROS_DISCOVERY_SERVER", ""),
+            ("RMW_IMPLEMENTATION", ""),
+            ("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp"),
+            ("RMW_IMPLEMENTATION", "rmw_fastrtps_dynamic_cpp"),
+            ("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp"),
+            ("RMW_IMPLEMENTATION", "rmw_connextdds"),
+            ("RMW_IMPLEMENTATION", "rmw_gurumdds_cpp"),
+            ("FASTDDS_BUILTIN_TRANSPORTS", ""),
+            ("FASTDDS_BUILTIN_TRANSPORTS", "DEFAULT"),
+            ("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4?sockets_size=1MB"),
+            ("RMW_FASTRTPS_USE_QOS_FROM_XML", "1"),
+            ("CYCLONEDDS_URI", ""),
+        ];
+        for (variable, value) in harmless {
+            assert!(warnings(variable, value).is_empty(), "{variable}={value}");
+        }
+    }
+
+    #[test]
+    fn a_document_in_a_variable_is_told_in_a_line() {
+        let document = format!("<CycloneDDS>\n  <Domain Id=\"any\">{}", "ä".repeat(60));
+        let warnings = warnings("CYCLONEDDS_URI", &document);
+        // 33 characters before those that are two bytes long.
+        let value = format!("<CycloneDDS>   <Domain Id=\"any\">{}...", "ä".repeat(28));
+        assert!(
+            warnings[0].starts_with(&format!("CYCLONEDDS_URI is `{value}`: ")),
+            "{warnings:?}"
+        );
+    }
+
+    #[test]
+    fn enforced_security_is_refused() {
+        const ENABLE: &str = "ROS_SECURITY_ENABLE";
+        const STRATEGY: &str = "ROS_SECURITY_STRATEGY";
+        assert_eq!(
+            read(&[(ENABLE, "true"), (STRATEGY, "Enforce")]),
+            Err(
+                "ROS_SECURITY_STRATEGY is `Enforce`: this node has no DDS Security; unset \
+                 ROS_SECURITY_ENABLE for it to let it send in clear"
+                    .to_owned()
+            )
+        );
+        let open = Ok(environment(0, DiscoveryRange::Subnet, &[]));
+        for variables in [
+            [(ENABLE, "true"), (STRATEGY, "Permissive")],
+            [(ENABLE, "true"), (STRATEGY, "enforce")],
+            [(ENABLE, "false"), (STRATEGY, "Enforce")],
+            [(ENABLE, "TRUE"), (STRATEGY, "Enforce")],
+        ] {
+            assert_eq!(read(&variables), open);
         }
     }
 }

@@ -83,6 +83,35 @@ fn what_is_wrong_is_one_line_and_an_exit_code() {
     }
 }
 
+#[test]
+fn what_the_environment_asks_for_and_cannot_be_is_told() {
+    let zenoh = "warning: RMW_IMPLEMENTATION is `rmw_zenoh_cpp`: ";
+    let security = "warning: ROS_SECURITY_ENABLE is `true`: ";
+    let enforced = "error: ROS_SECURITY_STRATEGY is `Enforce`: ";
+    let name = "error: `my-node` is no name of a node";
+    for (strategy, expected) in [
+        ("Permissive", &[security, zenoh, name][..]),
+        ("Enforce", &[enforced]),
+    ] {
+        // The wrong name ends it.
+        let output = program("140", &["--node", "my-node"])
+            .env("RMW_IMPLEMENTATION", "rmw_zenoh_cpp")
+            .env("ROS_SECURITY_ENABLE", "true")
+            .env("ROS_SECURITY_STRATEGY", strategy)
+            .output()
+            .unwrap();
+        let said = said(&output);
+        let begins = |(line, begin): (&str, &&str)| line.starts_with(begin);
+        assert!(
+            output.status.code() == Some(78)
+                && said.lines().count() == expected.len()
+                && said.lines().zip(expected).all(begins),
+            "{:?}: {said}",
+            output.status
+        );
+    }
+}
+
 /// Whether SIGTERM and SIGINT no longer kill a process at once.
 fn handles_signals(pid: u32) -> bool {
     let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
