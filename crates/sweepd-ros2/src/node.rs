@@ -11,6 +11,7 @@ use std::net::SocketAddrV4;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
+use sweepd_messages::cdr::{ENCAPSULATION, Reader};
 use sweepd_messages::graph::{self, Gid, GidForm};
 use sweepd_messages::message_type::{self, MessageType};
 use sweepd_messages::rcl::{self, ServiceType};
@@ -189,8 +190,8 @@ impl Node {
             .publisher("/rosout".to_owned(), &rcl::LOG, true, keep)
     }
 
-    /// Offers a service below the node's name. Clients of rmw_fastrtps are answered; rmw_cyclonedds puts
-    /// the number of a request into the message, and is not.
+    /// Offers a service below the node's name. Each client is answered alone, in the form of its middleware,
+    /// rmw_fastrtps or rmw_cyclonedds.
     ///
     /// # Errors
     /// A name that ROS does not take: the node's name leaves no room.
@@ -476,12 +477,32 @@ pub struct Service {
 }
 
 /// A request of a client.
-pub struct Request(Sample);
+pub struct Request {
+    sample: Sample,
+    /// Client and sequence number, which rmw_cyclonedds puts before request and reply; rmw_fastrtps tells the
+    /// request's identity beside the reply.
+    header: Option<[i64; 2]>,
+}
 
 impl Request {
+    fn new(mut sample: Sample) -> Self {
+        let header = sample.has_request_header.then(|| {
+            let message = &mut sample.payload;
+            let header = Reader::new(message);
+            let header = header.and_then(|mut header| Ok([header.i64()?, header.i64()?]));
+            // Of one that is too short, nothing is left that could be read.
+            let end = ENCAPSULATION.len() + size_of::<[i64; 2]>();
+            let behind = message.split_off(end.min(message.len()));
+            message.truncate(ENCAPSULATION.len());
+            message.extend(behind);
+            header.unwrap_or_default()
+        });
+        Self { sample, header }
+    }
+
     /// CDR, its encapsulation of 4 bytes included. Anyone on the ROS domain can have sent it.
     pub fn message(&self) -> &[u8] {
-        &self.0.payload
+        &self.sample.payload
     }
 }
 
@@ -497,12 +518,12 @@ impl Service {
             participant.is_read_by(&self.writer, client)
         };
         if let Some(index) = early.iter().position(|(sample, _)| hears(sample)) {
-            return Some(Request(early.remove(index).0));
+            return Some(Request::new(early.remove(index).0));
         }
         for _ in 0..SERVICE_DEPTH {
             let sample = self.reader.inbox.take()?;
             if hears(&sample) {
-                return Some(Request(sample));
+                return Some(Request::new(sample));
             }
             // The oldest gives way: clients that hear no answers must not block others.
             if early.len() == SERVICE_DEPTH {
@@ -519,8 +540,12 @@ impl Service {
     }
 
     /// Answers a request: CDR, its encapsulation included.
-    pub fn answer(&self, request: &Request, message: Vec<u8>) {
-        let body = Body::Answer(request.0.id, padded(message));
+    pub fn answer(&self, request: &Request, mut message: Vec<u8>) {
+        if let Some(header) = request.header {
+            let at = ENCAPSULATION.len();
+            message.splice(at..at, header.map(i64::to_le_bytes).concat());
+        }
+        let body = Body::Answer(request.sample.id, padded(message));
         self.node.participant.write(&self.writer, body);
     }
 }
@@ -574,6 +599,40 @@ fn is_topic(name: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rtps::wire::{Guid, SampleId};
+
+    fn request(payload: &[u8], has_request_header: bool) -> Request {
+        let writer = Guid::new([7; 12], [0, 0, 1, 3]);
+        Request::new(Sample {
+            id: SampleId { writer, number: 1 },
+            payload: payload.to_vec(),
+            has_request_header,
+        })
+    }
+
+    #[test]
+    fn the_header_of_rmw_cyclonedds_is_taken_off_in_either_byte_order() {
+        let little = [
+            0, 1, 0, 0, 2, 1, 0, 0, 0, 0, 0, 0, 9, 0, 0, 0, 0, 0, 0, 0, 5, 6,
+        ];
+        let big = [
+            0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 2, 0, 0, 0, 0, 0, 0, 0, 9, 5, 6,
+        ];
+        for message in [little, big] {
+            let read = request(&message, true);
+            assert_eq!(read.header, Some([0x102, 9]));
+            assert_eq!(read.message(), [0, message[1], 0, 0, 5, 6]);
+            let read = request(&message, false);
+            assert_eq!((read.header, read.message()), (None, &message[..]));
+            for end in 0..20 {
+                // Too short for a header: the encapsulation is left, if that.
+                let left = &message[..end.min(4)];
+                assert_eq!(request(&message[..end], true).message(), left);
+            }
+        }
+        let no_cdr = request(&[9; 40], true);
+        assert_eq!((no_cdr.header, no_cdr.message().len()), (Some([0, 0]), 24));
+    }
 
     #[test]
     fn names_are_those_of_ros() {

@@ -34,6 +34,9 @@ const TELL_INTERVAL: Duration = Duration::from_millis(50);
 /// The interval in which one that knows us is: it may have forgotten us, and hear no group.
 const RETELL_INTERVAL: Duration = Duration::from_secs(3);
 
+/// Vendor of Cyclone DDS.
+const CYCLONE: [u8; 2] = [1, 0x10];
+
 /// Seconds of an infinite time.
 const INFINITE_SECONDS: u32 = 0x7fff_ffff;
 
@@ -138,6 +141,8 @@ pub struct ParticipantData {
     user: Vec<SocketAddrV4>,
     source: Ipv4Addr,
     lease: Duration,
+    /// True if it is one of Cyclone DDS.
+    is_cyclone: bool,
 }
 
 impl ParticipantData {
@@ -148,6 +153,7 @@ impl ParticipantData {
         own: &OwnAddresses,
     ) -> Option<Result<Self, Unreachable>> {
         let (mut meta, mut user, mut lease) = (vec![], vec![], DEFAULT_LEASE);
+        let mut is_cyclone = false;
         for (parameter, value) in parameters::read(payload)? {
             match parameter {
                 parameters::METATRAFFIC_LOCATOR => push_locator(&mut meta, value),
@@ -155,6 +161,7 @@ impl ParticipantData {
                 parameters::PARTICIPANT_LEASE => {
                     lease = Duration::from_secs(u64::from(value.u32(0)?)).min(LONGEST_LEASE);
                 }
+                parameters::VENDOR_ID => is_cyclone = value.bytes.starts_with(&CYCLONE),
                 _ => {}
             }
         }
@@ -170,6 +177,7 @@ impl ParticipantData {
             user,
             source,
             lease,
+            is_cyclone,
         }))
     }
 
@@ -203,6 +211,9 @@ pub struct Endpoint {
     pub transient_local: bool,
     /// Whether it names its type's hash, as ROS 2 does since Iron.
     pub names_hash: bool,
+    /// True if its requests and replies begin with the header of rmw_cyclonedds: it is of Cyclone DDS, or
+    /// names a client in its user data.
+    pub has_request_header: bool,
     /// What readers ask for and no writer promises, of ours and it.
     pub promise: Option<&'static str>,
     /// Where it gets its datagrams.
@@ -219,6 +230,7 @@ impl Endpoint {
             reliable: true,
             transient_local: true,
             names_hash: false,
+            has_request_header: false,
             promise: None,
             place,
         }
@@ -234,6 +246,7 @@ impl Endpoint {
         let asks = side == Side::Readers;
         // Writers are reliable unless they say otherwise; readers ask for it.
         let (mut reliable, mut transient_local, mut names_hash) = (!asks, false, false);
+        let mut has_request_header = participant.is_cyclone;
         let mut promise = None;
         let mut locators = vec![];
         for (parameter, value) in parameters::read(payload)? {
@@ -257,6 +270,7 @@ impl Endpoint {
                 parameters::DURABILITY => transient_local = value.u32(0)? >= 1,
                 parameters::USER_DATA => {
                     names_hash = parameters::user_data_has(value, b"typehash=");
+                    has_request_header |= parameters::user_data_has(value, b"clientid=");
                 }
                 parameters::UNICAST_LOCATOR => push_locator(&mut locators, value),
                 _ => {}
@@ -274,6 +288,7 @@ impl Endpoint {
             reliable,
             transient_local,
             names_hash,
+            has_request_header,
             promise,
             place: Place::choose(named, participant.source, own)?,
         })
@@ -663,6 +678,7 @@ mod tests {
             user: vec![],
             source: Ipv4Addr::LOCALHOST,
             lease: Duration::from_secs(seconds),
+            is_cyclone: false,
         };
         let after = |seconds| start + Duration::from_secs(seconds);
         let soon = start + Duration::from_millis(10);

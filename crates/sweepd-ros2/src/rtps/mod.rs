@@ -51,5 +51,5 @@ mod received;
 pub mod sample;
 mod sockets;
 pub mod terms;
-mod wire;
+pub mod wire;
 pub mod writer;

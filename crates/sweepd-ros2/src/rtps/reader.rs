@@ -34,6 +34,8 @@ pub struct Sample {
     pub id: SampleId,
     /// Its bytes, encapsulation included.
     pub payload: Vec<u8>,
+    /// That of its writer: [`Endpoint::has_request_header`].
+    pub has_request_header: bool,
 }
 
 /// Samples that wait to be taken: the newest.
@@ -127,6 +129,7 @@ impl Waiting {
 struct Source {
     /// Where it hears what we miss.
     place: Place,
+    has_request_header: bool,
     received: Received,
     waiting: BTreeMap<u64, Waiting>,
     /// Of all that waits.
@@ -158,6 +161,7 @@ impl Source {
                 inbox.put(Sample {
                     id: SampleId { writer, number },
                     payload: waiting.bytes,
+                    has_request_header: self.has_request_header,
                 });
             }
         }
@@ -209,9 +213,9 @@ impl Reader {
     /// A writer is there, or is at another place now. Says what it is asked, and where, unless there is no room
     /// for it.
     pub fn add_writer(&mut self, writer: &Endpoint, now: Instant) -> Option<(Ack, Place)> {
-        let place = writer.place;
+        let (place, has_request_header) = (writer.place, writer.has_request_header);
         if let Some(known) = self.sources.get_mut(&writer.guid) {
-            known.place = place;
+            (known.place, known.has_request_header) = (place, has_request_header);
             return self.asked(writer.guid);
         }
         if self.sources.len() == MAX_WRITERS {
@@ -227,6 +231,7 @@ impl Reader {
         }
         let source = Source {
             place,
+            has_request_header,
             received: Received::new(now),
             waiting: BTreeMap::new(),
             bytes: 0,

@@ -53,6 +53,11 @@ impl Sample {
         }
     }
 
+    /// True if a reader gets it: an answer is for the participant that asked.
+    pub fn is_for(&self, reader: Guid) -> bool {
+        (self.answers()).is_none_or(|request| request.writer.prefix == reader.prefix)
+    }
+
     /// What has ended, where it says so.
     pub fn ended(&self) -> Option<Guid> {
         match self.body {

@@ -310,13 +310,15 @@ impl Writer {
         {
             self.recycle(old);
         }
-        for reader in self.readers.values_mut().filter(|reader| reader.is_busy()) {
-            reader.skipped += 1;
+        for (guid, reader) in &mut self.readers {
+            reader.skipped += u64::from(reader.is_busy() && sample.is_for(*guid));
         }
         let mut deliveries: Vec<Delivery> = vec![];
         let mut by_way: HashMap<*const Link, usize> = HashMap::new();
-        let can_take = |reader: &Reader| reader.is_confirmed && !reader.is_busy();
-        for (guid, reader) in self.readers.iter().filter(|(_, reader)| can_take(reader)) {
+        for (guid, reader) in &self.readers {
+            if !reader.is_confirmed || reader.is_busy() || !sample.is_for(*guid) {
+                continue;
+            }
             let by_reader = matches!(sample.body, Body::ByReader { .. });
             let pulse = || self.pulse(self.first(), sample.number);
             let way = Arc::as_ptr(&reader.link);
@@ -430,7 +432,7 @@ impl Writer {
         }
     }
 
-    /// Sends a sample again, or some of its fragments; says no where it is no longer there.
+    /// Sends a sample again, or some of its fragments; says no if it is no longer there, or is for another.
     fn repair(
         &mut self,
         to: Guid,
@@ -440,7 +442,9 @@ impl Writer {
         out: &mut Outbox,
     ) -> bool {
         let index = (self.history).partition_point(|sample| sample.number < number);
-        let is_it = |sample: &&Arc<Sample>| sample.number == number && number <= self.complete;
+        let is_it = |sample: &&Arc<Sample>| {
+            sample.number == number && number <= self.complete && sample.is_for(to)
+        };
         let Some(sample) = self.history.get(index).filter(is_it).cloned() else {
             return false;
         };

@@ -4,8 +4,7 @@ use super::*;
 use crate::environment::StaticPeer;
 use crate::rtps::discovery::{MAX_ENDPOINTS, MAX_PARTICIPANTS, ParticipantData};
 use crate::rtps::findings::MAX_FINDINGS;
-use crate::rtps::wire::Submessage;
-use crate::rtps::wire::{Fragments, Heartbeat, NumberSet};
+use crate::rtps::wire::{Fragments, Heartbeat, NumberSet, SampleId, Submessage};
 use crate::rtps::writer::OUTBOX;
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -77,6 +76,7 @@ fn participant_at(prefix: Prefix, addresses: &[Ipv4Addr]) -> Message {
         }
     }
     list.numbers(parameters::PARTICIPANT_LEASE, &[20, 0]);
+    list.put(parameters::VENDOR_ID, &[1, 0x10]);
     data(prefix, wire::PARTICIPANTS_WRITER, 1, &list.end())
 }
 
@@ -142,6 +142,7 @@ fn endpoint_data(guid: Guid, side: Side, number: u64, topic: &str) -> Message {
     list.string(parameters::TYPE_NAME, TYPE);
     list.numbers(parameters::RELIABILITY, &[2, 0, 0]);
     list.numbers(parameters::DURABILITY, &[1]);
+    list.octets(parameters::USER_DATA, b"clientid=1;");
     data(guid.prefix, side.builtin().1, number, &list.end())
 }
 
@@ -646,11 +647,15 @@ fn others_are_not_heard_where_they_must_not_be() {
     );
 }
 
-/// What goes to whom when a sample is written.
+/// Where a sample goes when it is written.
 fn written_to(participant: &Participant, writer: &WriterHandle) -> Vec<SocketAddrV4> {
+    sent_to(participant, writer, Body::Same(vec![0; 200_000]))
+}
+
+fn sent_to(participant: &Participant, writer: &WriterHandle, body: Body) -> Vec<SocketAddrV4> {
     let mut state = lock(&participant.shared.state);
     let (_, writer) = state.writers.get_mut(&writer.guid.entity).unwrap();
-    let deliveries = writer.begin(Body::Same(vec![0; 200_000])).unwrap();
+    let deliveries = writer.begin(body).unwrap();
     let to = deliveries.iter().map(|one| one.link.place.address);
     let to = to.collect();
     writer.finish(vec![], Instant::now());
@@ -751,6 +756,78 @@ fn a_host_with_two_addresses_is_reached_at_the_one_that_answers() {
     // What it says through the other one changes nothing.
     receive(&here, wireless);
     assert_eq!(written_to(&participant, &writer), [place]);
+}
+
+#[test]
+fn an_answer_goes_to_who_asked_and_others_hear_that_it_never_comes() {
+    let (participant, writer) = deaf_within(221, DiscoveryRange::Subnet);
+    let receive = |message: &Message, source| participant.shared.receive(message.bytes(), source);
+    let clients = [7, 8].map(|id| ([id; 12], Ipv4Addr::new(198, 51, 100, id)));
+    for (prefix, there) in clients {
+        receive(&participant_at(prefix, &[there]), there);
+        receive(&acknowledgement(prefix, &participant), there);
+        receive(&reader_data(prefix, 1, 1), there);
+    }
+    let [(asks, there), (other, elsewhere)] = clients;
+    let request = SampleId {
+        writer: Guid::new(asks, WRITER),
+        number: 1,
+    };
+    let to = sent_to(&participant, &writer, Body::Answer(request, vec![0; 8]));
+    assert_eq!(to, [SocketAddrV4::new(there, 9)]);
+    let missing = |prefix, source| {
+        let mut eighth = NumberSet::new(8);
+        eighth.insert(8);
+        let mut message = Message::to(prefix, writer.guid.prefix);
+        message.acknack([0, 0, 1, 4], writer.guid.entity, &asking_for(eighth), 2);
+        receive(&message, source)
+    };
+    let out = missing(asks, there);
+    assert_eq!((out.messages.len(), out.repairs.len()), (0, 1));
+    let out = missing(other, elsewhere);
+    let [(_, never)] = &out.messages[..] else {
+        panic!("{} messages", out.messages.len());
+    };
+    assert!(out.repairs.is_empty());
+    let gap = Submessage::Gap {
+        reader: [0, 0, 1, 4],
+        writer: writer.guid.entity,
+        first: 8,
+        more: NumberSet::new(9),
+    };
+    assert_eq!(wire::read(never.bytes(), other).unwrap().next(), Some(gap));
+}
+
+/// Of Cyclone DDS are its participants, and endpoints that name a client.
+#[test]
+fn the_form_of_a_request_is_that_of_its_client() {
+    let (participant, _writer) = deaf(222);
+    let [_, reader] = with_readers(&participant);
+    for (id, vendor, user_data, has_header) in [
+        (1, [1, 0x0f], "typehash=RIHS01_0;", false),
+        (2, [1, 0x10], "typehash=RIHS01_0;", true),
+        (3, [0, 0], "typehash=RIHS01_0;clientid=01.10.ab;", true),
+    ] {
+        let prefix = [id; 12];
+        let mut list = ParameterList::new();
+        list.put(parameters::VENDOR_ID, &vendor);
+        let place = SocketAddrV4::new(Ipv4Addr::LOCALHOST, 9);
+        list.locator(parameters::METATRAFFIC_LOCATOR, place);
+        list.locator(parameters::DEFAULT_LOCATOR, place);
+        let here = data(prefix, wire::PARTICIPANTS_WRITER, 1, &list.end());
+        let mut list = ParameterList::new();
+        let guid = Guid::new(prefix, WRITER);
+        list.put(parameters::ENDPOINT_GUID, &guid.bytes());
+        list.string(parameters::TOPIC_NAME, ODOM);
+        list.string(parameters::TYPE_NAME, TYPE);
+        list.octets(parameters::USER_DATA, user_data.as_bytes());
+        let writes = data(prefix, wire::PUBLICATIONS_WRITER, 1, &list.end());
+        let knows_us = acknowledgement(prefix, &participant);
+        for message in [here, knows_us, writes, sample_in_fragments(prefix, 1)] {
+            take(&participant, message.bytes());
+        }
+        assert_eq!(reader.inbox.take().unwrap().has_request_header, has_header);
+    }
 }
 
 #[test]
