@@ -380,9 +380,12 @@ fn check_graph(graph: &Value) {
             assert!(publishers.contains_key(&topic), "{topic}: {publishers:?}");
         }
     }
-    assert_eq!(publishers.len(), 2 * topics.len() + 3, "{publishers:?}");
-    // On /rosout is the peer, too.
-    for (topic, of_topic) in publishers.iter().filter(|(topic, _)| *topic != "/rosout") {
+    assert_eq!(publishers.len(), 2 * topics.len() + 4, "{publishers:?}");
+    // On these is the peer, too.
+    let own = publishers
+        .iter()
+        .filter(|(topic, _)| !["/rosout", "/parameter_events"].contains(&&topic[..]));
+    for (topic, of_topic) in own {
         let [publisher] = &of_topic.as_array().unwrap()[..] else {
             panic!("{topic}: {of_topic}");
         };
@@ -408,8 +411,8 @@ fn check_graph(graph: &Value) {
 fn check_old_graph(graph: &Value) {
     assert_eq!(graph["nodes"], json!(["/sweepd"]));
     let writers = graph["writers"].as_array().unwrap();
-    // Eight topics of each sensor, two of the node, its log and six services.
-    assert_eq!(writers.len(), 25, "{writers:?}");
+    // Eight topics of each sensor, two of the node, its log, its parameters' events and six services.
+    assert_eq!(writers.len(), 26, "{writers:?}");
     let participant = graph["participant"].as_str().unwrap();
     assert!(
         participant.ends_with("000001c10000000000000000"),

@@ -9,7 +9,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use serde_json::Value;
+use serde_json::{Value, json};
 use sweepd_lab::testkit::{PATIENCE, Process};
 
 use super::world::on_domain;
@@ -69,6 +69,12 @@ impl Peer {
     /// Cyclone DDS that tells where a robot is on `/tf`.
     pub fn transforms(dds_domain: u32, moves: Value) -> Self {
         let command = Self::cyclone_script("transforms.py", dds_domain, moves);
+        Self::start(command, dds_domain)
+    }
+
+    /// Clients of rmw_cyclonedds that get and set parameters, again and again.
+    pub fn requests(dds_domain: u32) -> Self {
+        let command = Self::cyclone_script("requests.py", dds_domain, json!({}));
         Self::start(command, dds_domain)
     }
 

@@ -1,5 +1,5 @@
-//! `rcl_interfaces`: what every node of ROS 2 has beside its topics, the services for its parameters, and
-//! the log on `/rosout`.
+//! `rcl_interfaces`: what every node of ROS 2 has beside its topics, the services for its parameters, their
+//! events on `/parameter_events`, and the log on `/rosout`.
 
 use crate::MessageType;
 use crate::cdr::{CdrError, Reader, Writer};
@@ -9,6 +9,13 @@ pub static LOG: MessageType = MessageType {
     name: "rcl_interfaces/msg/Log",
     hash: "RIHS01_e28ce254ca8abc06abf92773b74602cdbf116ed34fbaf294fb9f81da9f318eac",
     definition: include_str!("../definitions/Log.txt"),
+};
+
+/// What became of parameters: [`encode_parameter_event`]. It is in no bag, and has no definition here.
+pub static PARAMETER_EVENT: MessageType = MessageType {
+    name: "rcl_interfaces/msg/ParameterEvent",
+    hash: "RIHS01_043e627780fcad87a22d225bc2a037361dba713fca6a6b9f4b869a5aa0393204",
+    definition: "",
 };
 
 /// A service: a message that asks, and one that answers. They are in no bag, and have no definition here.
@@ -91,6 +98,26 @@ pub fn encode_log(stamp_ns: i64, level: u8, logger: &str, line: &str, message: &
     writer.text("");
     writer.text("");
     writer.u32(0);
+}
+
+/// Encodes the parameters of a node that are new, and those that have changed, with their values; none is deleted.
+pub fn encode_parameter_event(
+    stamp_ns: i64,
+    node: &str,
+    new: &[(String, Value)],
+    changed: &[(String, Value)],
+    message: &mut Vec<u8>,
+) {
+    let mut writer = Writer::new(message);
+    writer.time(stamp_ns);
+    writer.text(node);
+    for parameters in [new, changed, &[]] {
+        writer.count(parameters.len());
+        for (name, value) in parameters {
+            writer.text(name);
+            value.write(&mut writer);
+        }
+    }
 }
 
 /// A value of a parameter.

@@ -98,7 +98,7 @@ fn run(args: &Args, ros: &RosArgs) -> Result<ExitCode, Failure> {
         publisher: node.rosout(),
         logger: name.full().trim_start_matches('/').replace('/', "."),
     });
-    let services = Services::new(&node, &parameters)?;
+    let services = Services::new(&node, name.full(), &parameters)?;
     let domain = Domain::at_or_default(parameters.root.as_deref());
     log::info(format_args!(
         "node {} on ROS domain {}, sweeps from {}",

@@ -29,8 +29,9 @@ const SERVICE_DEPTH: usize = 10;
 /// How long a request waits until its client is known to hear answers.
 const CLIENT_HEARS_WITHIN: Duration = Duration::from_secs(10);
 
-/// Lines of the log that late readers get: rcl keeps 1,000, which at once would take the place of clouds.
-const ROSOUT_DEPTH: usize = 100;
+/// Lines of the log that late readers get, and events of parameters that readers can ask for again: rcl keeps
+/// 1,000 of each, which at once would take the place of clouds.
+const RCL_DEPTH: usize = 100;
 const ROSOUT_LIFESPAN: Duration = Duration::from_secs(10);
 
 /// Longest name of a node, and longest of a topic with its namespace, in bytes.
@@ -185,9 +186,16 @@ impl Node {
 
     /// Offers lines of the log on `/rosout`, as every node of ROS does: late readers get those of the last 10 s, up to 100.
     pub fn rosout(&self) -> Publisher {
-        let keep = (ROSOUT_DEPTH, Some(ROSOUT_LIFESPAN));
+        let keep = (RCL_DEPTH, Some(ROSOUT_LIFESPAN));
         self.inner
             .publisher("/rosout".to_owned(), &rcl::LOG, true, keep)
+    }
+
+    /// Offers events of the node's parameters on `/parameter_events`, as every node of ROS does.
+    pub fn parameter_events(&self) -> Publisher {
+        let topic = "/parameter_events".to_owned();
+        self.inner
+            .publisher(topic, &rcl::PARAMETER_EVENT, false, (RCL_DEPTH, None))
     }
 
     /// Offers a service below the node's name. Each client is answered alone, in the form of its middleware,

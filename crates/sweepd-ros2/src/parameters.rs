@@ -126,7 +126,8 @@ struct Given {
     only_complete: Option<bool>,
     min_columns: Option<u32>,
     scan_heights: Option<[f32; 2]>,
-    scan_ring: Option<u16>,
+    /// `Some(None)` is no ring, also where one is given for all.
+    scan_ring: Option<Option<u16>>,
 }
 
 impl Default for Parameters {
@@ -211,7 +212,7 @@ impl Parameters {
             },
             only_complete: given.only_complete.unwrap_or(true),
             min_columns: given.min_columns.unwrap_or(0),
-            slice: match given.scan_ring {
+            slice: match given.scan_ring.flatten() {
                 Some(ring) => Slice::Ring(ring),
                 None => Slice::Heights(given.scan_heights.unwrap_or(SCAN_HEIGHTS_M)),
             },
@@ -274,15 +275,21 @@ impl Parameters {
         OF_NODE.contains(&name) || own_name(name) == "frame_id"
     }
 
-    /// Sets a parameter of [`Parameters::names`] while the node runs.
+    /// Sets a parameter of [`Parameters::names`] while the node runs. One that is read at the start may be set
+    /// to the value that it has: a file with all parameters is for the running node, too.
     ///
     /// # Errors
     /// A sentence: what a file would be told, or that it is read at the start.
     pub fn set_running(&mut self, name: &str, value: &Value) -> Result<(), String> {
         if Self::is_fixed(name) {
-            return Err(format!(
-                "`{name}` is read at the start: give it in the parameter file, and start again"
-            ));
+            let mut set = self.clone();
+            let is_taken = set.take_one(name, &tree(value)).is_ok();
+            return match is_taken && set.value(name) == self.value(name) {
+                true => Ok(()),
+                false => Err(format!(
+                    "`{name}` is read at the start: give it in the parameter file, and start again"
+                )),
+            };
         }
         match self.take_one(name, &tree(value)) {
             Ok(_) => Ok(()),
@@ -487,10 +494,7 @@ impl Given {
             "only_complete" => self.only_complete = Some(switch(value)?),
             "min_columns" => self.min_columns = Some(number(value)?),
             "scan_heights" => self.scan_heights = Some(heights(value)?),
-            "scan_ring" => {
-                let is_given = optional(value)?.is_some();
-                self.scan_ring = is_given.then(|| number(value)).transpose()?;
-            }
+            "scan_ring" => self.scan_ring = Some(ring(value)?),
             _ => unreachable!("{name} is none of {OF_SENSOR:?}"),
         }
         Ok(())
@@ -534,9 +538,7 @@ impl Given {
                     .flat_map(|height| height.to_string().parse());
                 Value::Doubles(written.collect())
             }
-            "scan_ring" => {
-                (self.scan_ring).map_or(Value::NotSet, |ring| Value::Integer(ring.into()))
-            }
+            "scan_ring" => Value::Integer(self.scan_ring.flatten().map_or(-1, i64::from)),
             _ => Value::NotSet,
         }
     }
@@ -565,7 +567,7 @@ pub fn description(name: &str) -> &'static str {
         "only_complete" => "leave out sweeps that are no whole turn",
         "min_columns" => "leave out sweeps with fewer measured columns",
         "scan_heights" => "the band of scan, metres, the lower one first",
-        "scan_ring" => "scan is of one beam, numbered from the lowest up, from 0",
+        "scan_ring" => "scan is of one beam, numbered from the lowest up, from 0; -1: of the band",
         _ => "",
     }
 }
@@ -577,6 +579,14 @@ fn heights(value: &Spanned<Tree>) -> Result<[f32; 2], String> {
     match numbers[..] {
         [low_m, high_m] if texts.len() == 2 && low_m < high_m => Ok([low_m, high_m]),
         _ => Err("expected two heights in metres, the lower one first: [-0.5, 2.0]".to_owned()),
+    }
+}
+
+/// A beam, or none: -1, so that the parameter always has a value, which tools of ROS can write to a file and set.
+fn ring(value: &Spanned<Tree>) -> Result<Option<u16>, String> {
+    match optional(value)?.as_deref() {
+        None | Some("-1") => Ok(None),
+        Some(_) => number(value).map(Some),
     }
 }
 

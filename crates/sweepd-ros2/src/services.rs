@@ -1,10 +1,11 @@
 //! The services for parameters, which every node of ROS has: they are listed, got, described, and set where
-//! that can be while the node runs.
+//! that can be while the node runs. `/parameter_events` tells others of it.
 
-use std::collections::BTreeSet;
-
-use sweepd_messages::rcl::{Description, PARAMETER_SERVICES, Reply, Request, Value};
-use sweepd_ros2::{Node, NodeError, Service, log};
+use sweepd_client::host::realtime_ns;
+use sweepd_messages::rcl::{
+    Description, PARAMETER_SERVICES, Reply, Request, Value, encode_parameter_event,
+};
+use sweepd_ros2::{Node, NodeError, Publisher, Service, log};
 
 use crate::bridge::Bridge;
 use crate::parameters::{Parameters, SensorParameters, description};
@@ -12,39 +13,55 @@ use crate::parameters::{Parameters, SensorParameters, description};
 /// Requests of one service that are answered before the node looks after other things.
 const AT_ONCE: usize = 10;
 
-/// Parameters that one request sets, and of those the ones that the log names.
-const MOST_SET: usize = 100;
+/// Parameters, of those that a request changes, that the log names.
 const MOST_NAMED: usize = 10;
 
-/// The services, and the parameters as they are now.
+/// The services for the parameters of a node.
 pub struct Services {
     services: Vec<Service>,
+    events: Publisher,
+    /// Full name of the node.
+    node: String,
+    declared: Declared,
+}
+
+/// The parameters as they are now.
+struct Declared {
     parameters: Parameters,
+    /// Names of all, with those of the sensors that are there.
+    names: Vec<String>,
 }
 
 impl Services {
-    /// Offers them.
+    /// Offers them for the node of that full name.
     ///
     /// # Errors
     /// The node's name leaves no room for theirs.
-    pub fn new(node: &Node, parameters: &Parameters) -> Result<Self, NodeError> {
+    pub fn new(node: &Node, name: String, parameters: &Parameters) -> Result<Self, NodeError> {
         let services = PARAMETER_SERVICES.iter();
         let services: Result<Vec<Service>, NodeError> =
             services.map(|service| node.service(service)).collect();
         Ok(Self {
             services: services?,
-            parameters: parameters.clone(),
+            events: node.parameter_events(),
+            node: name,
+            declared: Declared {
+                parameters: parameters.clone(),
+                names: vec![],
+            },
         })
     }
 
     /// How a sensor is to be published now.
     pub fn of(&self, sensor: &str) -> SensorParameters {
-        self.parameters.of(sensor)
+        self.declared.parameters.of(sensor)
     }
 
     /// Answers the requests that wait. Says whether others may wait already; if not, the thread is unparked
     /// when one comes.
     pub fn serve(&mut self, bridges: &[&Bridge]) -> bool {
+        let new = self.declared.add(bridges);
+        self.tell(&new, &[]);
         let mut is_busy = false;
         for index in 0..self.services.len() {
             for _ in 0..AT_ONCE {
@@ -56,8 +73,11 @@ impl Services {
                 let Ok(asked) = Request::read(index, request.message()) else {
                     continue;
                 };
+                let before = self.declared.parameters.clone();
                 let mut reply = Vec::new();
-                self.answer(&asked, bridges).encode(&mut reply);
+                self.declared.answer(&asked).encode(&mut reply);
+                let changed = self.declared.changes(&before, bridges);
+                self.tell(&[], &changed);
                 self.services[index].answer(&request, reply);
             }
             is_busy |= self.services[index].has_early();
@@ -65,16 +85,43 @@ impl Services {
         is_busy
     }
 
-    fn answer(&mut self, asked: &Request, bridges: &[&Bridge]) -> Reply {
-        let known = Parameters::names(bridges.iter().map(|bridge| &bridge.name[..]));
+    /// Publishes an event, if there is one.
+    fn tell(&self, new: &[String], changed: &[String]) {
+        if new.is_empty() && changed.is_empty() {
+            return;
+        }
+        let [new, changed] = [new, changed].map(|names| {
+            let valued = |name: &String| (name.clone(), self.declared.parameters.value(name));
+            names.iter().map(valued).collect::<Vec<_>>()
+        });
+        let mut message = self.events.buffer();
+        encode_parameter_event(realtime_ns(), &self.node, &new, &changed, &mut message);
+        self.events.publish(message);
+    }
+}
+
+impl Declared {
+    /// Adds the parameters of sensors that have come, and at first those of the node; returns their names.
+    fn add(&mut self, bridges: &[&Bridge]) -> Vec<String> {
+        let names = Parameters::names(bridges.iter().map(|bridge| &bridge.name[..]));
+        if names.len() == self.names.len() {
+            return vec![];
+        }
+        let is_new = |name: &&String| !self.names.contains(name);
+        let new = names.iter().filter(is_new).cloned().collect();
+        self.names = names;
+        new
+    }
+
+    fn answer(&mut self, asked: &Request) -> Reply {
         // As rclpy: where one name is unknown, nothing is told.
-        let all_of = |names: &[String]| match names.iter().all(|name| known.contains(name)) {
+        let all_of = |names: &[String]| match names.iter().all(|name| self.names.contains(name)) {
             true => names.to_vec(),
             false => vec![],
         };
         match asked {
             Request::List(prefixes, depth) => {
-                let mut names = known;
+                let mut names = self.names.clone();
                 names.retain(|name| is_listed(name, prefixes, *depth));
                 Reply::List(names)
             }
@@ -97,22 +144,24 @@ impl Services {
                 Reply::Describe(names.iter().map(|name| self.describe(name)).collect())
             }
             Request::Set(parameters) => {
-                let before = self.parameters.clone();
-                let mut results = vec![too_many(parameters.len()); parameters.len()];
-                if parameters.len() <= MOST_SET {
-                    let one_by_one = parameters.chunks(1);
-                    results = one_by_one.map(|one| self.set(one, &known)).collect();
-                }
-                self.tell_changes(&before, parameters, bridges);
-                Reply::Set(results)
+                let room = self.room(parameters.len());
+                let one_by_one = parameters.chunks(1);
+                let set = |one| room.clone().and_then(|()| self.set(one));
+                Reply::Set(one_by_one.map(set).collect())
             }
             Request::SetAll(parameters) => {
-                let before = self.parameters.clone();
-                let result = too_many(parameters.len());
-                let result = result.and_then(|()| self.set(parameters, &known));
-                self.tell_changes(&before, parameters, bridges);
-                Reply::SetAll(result)
+                let room = self.room(parameters.len());
+                Reply::SetAll(room.and_then(|()| self.set(parameters)))
             }
+        }
+    }
+
+    /// Refuses to set more at once than there are.
+    fn room(&self, count: usize) -> Result<(), String> {
+        let most = self.names.len();
+        match count > most {
+            true => Err(format!("at most {most} parameters in a request")),
+            false => Ok(()),
         }
     }
 
@@ -135,10 +184,10 @@ impl Services {
     }
 
     /// Sets all of these, or none.
-    fn set(&mut self, values: &[(String, Value)], known: &[String]) -> Result<(), String> {
+    fn set(&mut self, values: &[(String, Value)]) -> Result<(), String> {
         let mut parameters = self.parameters.clone();
         for (name, value) in values {
-            if !known.contains(name) {
+            if !self.names.contains(name) {
                 return Err(format!("unknown parameter `{name}`"));
             }
             parameters.set_running(name, value)?;
@@ -147,31 +196,26 @@ impl Services {
         Ok(())
     }
 
-    /// Gives the bridges what a request has changed, and tells of it in one line of the log.
-    fn tell_changes(&self, before: &Parameters, set: &[(String, Value)], bridges: &[&Bridge]) {
+    /// Gives the bridges what a request has changed, and logs it in one line. Returns the names of what has
+    /// another value now: what is set for all sensors is a sensor's, too.
+    fn changes(&self, before: &Parameters, bridges: &[&Bridge]) -> Vec<String> {
         if self.parameters == *before {
-            return;
+            return vec![];
         }
         for bridge in bridges {
             bridge.set_parameters(self.parameters.of(&bridge.name));
         }
-        let names = set.iter().map(|(name, _)| &name[..]);
-        let changed = |name: &&str| self.parameters.value(name) != before.value(name);
-        let names: BTreeSet<&str> = names.filter(changed).collect();
-        let named: Vec<&str> = names.iter().copied().take(MOST_NAMED).collect();
-        let more = match names.len() - named.len() {
+        let mut changed = self.names.clone();
+        changed.retain(|name| self.parameters.value(name) != before.value(name));
+        let named = &changed[..changed.len().min(MOST_NAMED)];
+        let more = match changed.len() - named.len() {
             0 => String::new(),
             more => format!(" and {more} more"),
         };
-        log::info(format_args!("set by a client: {}{more}", named.join(", ")));
-    }
-}
-
-/// Refuses to set so many at once.
-fn too_many(count: usize) -> Result<(), String> {
-    match count > MOST_SET {
-        true => Err(format!("at most {MOST_SET} parameters in a request")),
-        false => Ok(()),
+        if !changed.is_empty() {
+            log::info(format_args!("set by a client: {}{more}", named.join(", ")));
+        }
+        changed
     }
 }
 
@@ -209,30 +253,33 @@ mod tests {
 
     #[test]
     fn a_request_is_one_line_of_the_log_and_has_an_end() {
-        let mut services = Services {
-            services: vec![],
+        let mut declared = Declared {
             parameters: Parameters::default(),
+            names: Parameters::names(["roof"].into_iter()),
         };
+        let before = declared.parameters.clone();
         let stamp = |value: &str| ("stamp".to_owned(), Value::Text(value.to_owned()));
         let organized = ("organized".to_owned(), Value::Bool(false));
         let set = vec![stamp("middle"), organized, stamp("last"), stamp("centre")];
-        let Reply::Set(results) = services.answer(&Request::Set(set), &[]) else {
+        let Reply::Set(results) = declared.answer(&Request::Set(set)) else {
             panic!("no answer to a set");
         };
         let done: Vec<bool> = results.iter().map(Result::is_ok).collect();
         assert_eq!(done, [true, true, true, false]);
+        assert_eq!(declared.changes(&before, &[]), ["stamp", "roof.stamp"]);
         let told = log::take().into_iter().map(|line| line.text);
         let told: Vec<String> = told.filter(|line| line.contains("by a client")).collect();
-        assert_eq!(told, ["set by a client: stamp"]);
+        assert_eq!(told, ["set by a client: stamp, roof.stamp"]);
 
-        let many = vec![stamp("first"); 101];
-        let refused = Err("at most 100 parameters in a request".to_owned());
-        let reply = services.answer(&Request::Set(many.clone()), &[]);
-        assert_eq!(reply, Reply::Set(vec![refused.clone(); 101]));
-        let reply = services.answer(&Request::SetAll(many), &[]);
+        // Sixteen of the node, and nine of the sensor.
+        let many = vec![stamp("first"); 26];
+        let refused = Err("at most 25 parameters in a request".to_owned());
+        let reply = declared.answer(&Request::Set(many.clone()));
+        assert_eq!(reply, Reply::Set(vec![refused.clone(); 26]));
+        let reply = declared.answer(&Request::SetAll(many));
         assert_eq!(reply, Reply::SetAll(refused));
         assert_eq!(
-            services.parameters.value("stamp"),
+            declared.parameters.value("stamp"),
             Value::Text("last".into())
         );
     }

@@ -265,9 +265,12 @@ fn what_a_client_gets_it_can_set() {
     let before = parameters.of("roof");
     for name in Parameters::names(["roof"].into_iter()) {
         let value = parameters.value(&name);
-        let set = parameters.set_running(&name, &value);
-        assert_eq!(set.is_err(), Parameters::is_fixed(&name), "{name}: {set:?}");
+        assert_ne!(value, Value::NotSet, "{name}: no file can set it");
+        assert_eq!(parameters.set_running(&name, &value), Ok(()), "{name}");
         assert_eq!(parameters.value(&name), value);
+        let other = parameters.set_running(&name, &Value::Text("other".to_owned()));
+        let is_fixed = other.is_err_and(|why| why.contains("is read at the start"));
+        assert_eq!(is_fixed, Parameters::is_fixed(&name), "{name}");
         assert!(!description(&name).is_empty(), "{name}");
     }
     assert_eq!(parameters.of("roof"), before);
@@ -276,6 +279,24 @@ fn what_a_client_gets_it_can_set() {
     // As in a file, a list of whole numbers will do.
     let heights_m = Value::Integers(vec![0, 2]);
     assert_eq!(parameters.set_running("scan_heights", &heights_m), Ok(()));
+    // No ring: of all, or of a sensor beside others that have one.
+    for value in [
+        Value::Integer(-1),
+        Value::NotSet,
+        Value::Text(String::new()),
+    ] {
+        for (name, ring) in [("scan_ring", 5), ("roof.scan_ring", 3)] {
+            let given = parameters.set_running(name, &Value::Integer(ring));
+            assert_eq!(given, Ok(()), "{name}");
+        }
+        assert_eq!(parameters.set_running("roof.scan_ring", &value), Ok(()));
+        let rings = [Slice::Heights([0.1, 1.0]), Slice::Ring(5)];
+        assert_eq!(["roof", "front"].map(|one| parameters.of(one).slice), rings);
+        assert_eq!(parameters.value("roof.scan_ring"), Value::Integer(-1));
+    }
+    let wrong = parameters.set_running("scan_ring", &Value::Integer(-2));
+    let words = "`scan_ring`: expected a whole number from 0 on, not `-2`";
+    assert_eq!(wrong, Err(words.to_owned()));
     let wrong = parameters.set_running("roof.stamp", &Value::Bool(true));
     let words = "`roof.stamp`: expected first or middle or last, not `true`";
     assert_eq!(wrong, Err(words.to_owned()));
