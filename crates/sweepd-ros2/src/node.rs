@@ -42,10 +42,11 @@ const LONGEST_TOPIC_NAME: usize = 247;
 const GRAPH_TOPIC: &str = "ros_discovery_info";
 
 /// Messages of topics that many nodes publish.
-const SHARED: [&str; 3] = [
+const SHARED: [&str; 4] = [
     message_type::DIAGNOSTIC_ARRAY.name,
     message_type::TF_MESSAGE.name,
     rcl::LOG.name,
+    rcl::PARAMETER_EVENT.name,
 ];
 
 /// What readers that come late get.
