@@ -502,12 +502,12 @@ impl Discovery {
         gone
     }
 
-    /// Whether a participant is known, or an endpoint of one.
+    /// Whether an endpoint is known; of another entity, its participant.
     pub fn knows(&self, guid: Guid) -> bool {
+        let is_endpoint = ![wire::PARTICIPANT, wire::ANY_READER].contains(&guid.entity);
         self.participants.get(&guid.prefix).is_some_and(|one| {
             let mut told = one.told.iter();
-            guid.entity == wire::PARTICIPANT
-                || told.any(|told| told.endpoints.contains_key(&guid.entity))
+            !is_endpoint || told.any(|told| told.endpoints.contains_key(&guid.entity))
         })
     }
 

@@ -330,6 +330,11 @@ fn endpoint(guid: Guid, participant: Guid, terms: &Terms) -> Vec<u8> {
     list.end()
 }
 
+/// What a participant is called as one that publishes the same: no endpoint has that number.
+fn rival(prefix: Prefix) -> Guid {
+    Guid::new(prefix, wire::ANY_READER)
+}
+
 /// The ways to others, which all writers and readers share.
 #[derive(Default)]
 struct Ways {
@@ -406,15 +411,14 @@ impl Ways {
         }
     }
 
-    /// Warns of another writer of a topic that is ours alone.
+    /// Warns of a participant with a writer of a topic that is ours alone.
     fn find_rival(&mut self, offer: &Terms, writer: &Endpoint, confirmed_host: Option<Ipv4Addr>) {
-        let is_same = offer.topic == writer.topic && offer.type_name == writer.type_name;
-        if offer.is_sole && is_same && confirmed_host.is_some() {
+        if offer.has_rival(writer) && confirmed_host.is_some() {
             let (topic, address) = (offer.ros_topic(), writer.place.address);
-            self.findings.find(writer.guid, Instant::now(), || {
+            self.findings.find(rival(writer.guid.prefix), Instant::now(), || {
                 format!(
-                    "{topic}: a node at {address} publishes it too, and subscribers get both; end one of the two, or \
-                     give it another name or namespace"
+                    "a node at {address} publishes {topic} too, and subscribers get both: end one of the two, or give \
+                     it another name or namespace"
                 )
             });
         }

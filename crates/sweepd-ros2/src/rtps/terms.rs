@@ -62,8 +62,17 @@ impl Terms {
         }
     }
 
+    /// Whether a writer of others writes to a topic that is ours alone.
+    pub fn has_rival(&self, writer: &Endpoint) -> bool {
+        self.is_sole && self.is_of(writer)
+    }
+
+    fn is_of(&self, other: &Endpoint) -> bool {
+        self.topic == other.topic && self.type_name == other.type_name
+    }
+
     fn with(&self, other: &Endpoint) -> Match {
-        if self.topic != other.topic || self.type_name != other.type_name {
+        if !self.is_of(other) {
             Match::No
         } else {
             other.promise.map_or(Match::Yes, Match::AsksFor)

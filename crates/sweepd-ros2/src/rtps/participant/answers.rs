@@ -1,6 +1,6 @@
 //! What follows from what others say: whom we meet, who reads and writes what, and who misses what.
 
-use super::{ANSWER_RATIO, Shared, State};
+use super::{ANSWER_RATIO, Shared, State, rival};
 use crate::log;
 use crate::rtps::discovery::{
     Endpoint, MAX_ENDPOINTS, MAX_PARTICIPANTS, News, ParticipantData, Place, Side, Unreachable,
@@ -387,6 +387,9 @@ impl State {
             let key = key.filter(|key| key.prefix == prefix);
             self.discovery.endpoint_ended(prefix, side, number, key);
             self.remove(|guid| Some(guid) == key);
+            if side == Side::Writers {
+                self.rival_ended(prefix);
+            }
         } else {
             let own = &self.addresses;
             let endpoint = self
@@ -399,6 +402,23 @@ impl State {
         }
         // One that was here before may have moved.
         self.ways.drop_unused();
+    }
+
+    /// A writer of a participant is no more: another of its may still be of a topic of ours.
+    fn rival_ended(&mut self, prefix: Prefix) {
+        self.ways.findings.end(rival(prefix));
+        let offers = || {
+            self.writers
+                .values()
+                .filter_map(|(offer, _)| offer.as_ref())
+        };
+        let mut writers = self.discovery.endpoints_of(prefix, Side::Writers);
+        let rival =
+            writers.find_map(|one| Some((offers().find(|offer| offer.has_rival(one))?, one)));
+        if let Some((offer, writer)) = rival {
+            let host = self.discovery.confirmed_host(prefix);
+            self.ways.find_rival(offer, writer, host);
+        }
     }
 
     /// A writer of others sends a sample, or a part of one.

@@ -984,24 +984,23 @@ fn who_names_no_address_of_ipv4_is_told_of_once() {
 fn another_publisher_of_the_same_topic_is_told_of_for_as_long_as_it_is_there() {
     let (participant, _writer) = deaf(226);
     let prefix = [7; 12];
-    take(&participant, participant_data(prefix).bytes());
-    let guid = Guid::new(prefix, WRITER);
-    take(
-        &participant,
-        endpoint_data(guid, Side::Writers, 1, TOPIC).bytes(),
-    );
-    assert!(findings(&participant, Instant::now()).is_empty());
-    take(&participant, acknowledgement(prefix, &participant).bytes());
+    let second: EntityId = [0, 0, 10, 3];
     let later = Instant::now() + Duration::from_secs(100);
-    let told = findings(&participant, later);
-    assert!(
-        told.len() == 1 && told[0].contains("publishes it too"),
-        "{told:?}"
-    );
-    take(
-        &participant,
-        ended(prefix, Side::Writers, WRITER, 2).bytes(),
-    );
+    take(&participant, participant_data(prefix).bytes());
+    for (number, entity) in [(1, WRITER), (2, second)] {
+        let guid = Guid::new(prefix, entity);
+        let told = endpoint_data(guid, Side::Writers, number, TOPIC);
+        take(&participant, told.bytes());
+    }
+    assert!(findings(&participant, later).is_empty());
+    take(&participant, acknowledgement(prefix, &participant).bytes());
+    for (number, entity) in [(3, WRITER), (4, second)] {
+        let told = findings(&participant, later);
+        let it = "publishes /points too";
+        assert!(told.len() == 1 && told[0].contains(it), "{told:?}");
+        let ended = ended(prefix, Side::Writers, entity, number);
+        take(&participant, ended.bytes());
+    }
     assert!(findings(&participant, later).is_empty());
 }
 
