@@ -434,7 +434,9 @@ fn check_diagnostics(statuses: &Value) {
         .iter()
         .map(|one| one["name"].as_str().unwrap())
         .collect();
-    assert_eq!(names, ["sweepd", "sweepd: front", "sweepd: roof"]);
+    let all = ["sweepd", "sweepd: front", "sweepd: roof", "sweepd: ROS 2"];
+    assert_eq!(names, all);
+    assert_eq!(statuses[3]["level"], 0, "{}", statuses[3]);
     for status in statuses {
         assert!(
             status["level"].as_u64().is_some_and(|level| level <= 1),

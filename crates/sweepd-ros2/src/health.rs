@@ -65,7 +65,6 @@ impl Diagnostics {
         let mut statuses: Vec<Status> = daemon
             .iter()
             .map(|(at, said)| of_daemon(*at, said))
-            .chain([of_others(node.findings())])
             .collect();
         for bridge in bridges {
             let said = daemon
@@ -73,6 +72,7 @@ impl Diagnostics {
                 .and_then(|(_, said)| sensor(said, &bridge.name));
             statuses.push(self.of_sensor(bridge, said));
         }
+        statuses.push(of_others(node.findings()));
         let mut message = Vec::new();
         diagnostics::encode(realtime_ns(), &statuses, &mut message);
         self.publisher.publish(message);

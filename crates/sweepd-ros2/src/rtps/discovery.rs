@@ -32,7 +32,7 @@ const TELLS: u32 = 8;
 const TELL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// The interval in which one that knows us is: it may have forgotten us, and hear no group.
-const RETELL_INTERVAL: Duration = Duration::from_secs(3);
+const RETELL_INTERVAL: Duration = Duration::from_secs(5);
 
 /// Vendor of Cyclone DDS.
 const CYCLONE: [u8; 2] = [1, 0x10];

@@ -537,8 +537,9 @@ impl Writer {
             reader
                 .repaired
                 .retain(|_, at| now.duration_since(*at) < REPAIR_INTERVAL);
-            let lacks = !reader.has_answered || reader.acknowledged < self.complete;
-            let waiting = reader.reliable && (reader.asks || lacks);
+            let is_new = !reader.has_answered && now < reader.since + HEARD_WITHIN;
+            let lacks = reader.acknowledged < self.complete;
+            let waiting = reader.reliable && (reader.asks || is_new || lacks);
             let can_answer = reader.is_confirmed && !reader.is_busy();
             if !waiting || !can_answer || now < reader.asked + reader.interval {
                 continue;
