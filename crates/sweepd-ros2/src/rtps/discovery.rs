@@ -34,7 +34,8 @@ const TELL_INTERVAL: Duration = Duration::from_millis(50);
 /// The interval in which one that knows us is: it may have forgotten us, and hear no group.
 const RETELL_INTERVAL: Duration = Duration::from_secs(5);
 
-/// Vendor of Cyclone DDS.
+/// Vendors of Fast DDS and of Cyclone DDS.
+const FAST_DDS: [u8; 2] = [1, 0x0f];
 const CYCLONE: [u8; 2] = [1, 0x10];
 
 /// Seconds of an infinite time.
@@ -141,8 +142,7 @@ pub struct ParticipantData {
     user: Vec<SocketAddrV4>,
     source: Ipv4Addr,
     lease: Duration,
-    /// True if it is one of Cyclone DDS.
-    is_cyclone: bool,
+    vendor: [u8; 2],
 }
 
 impl ParticipantData {
@@ -153,22 +153,25 @@ impl ParticipantData {
         own: &OwnAddresses,
     ) -> Option<Result<Self, Unreachable>> {
         let (mut meta, mut user, mut lease) = (vec![], vec![], DEFAULT_LEASE);
-        let mut is_cyclone = false;
+        let (mut vendor, mut has_user) = ([0; 2], false);
         for (parameter, value) in parameters::read(payload)? {
             match parameter {
                 parameters::METATRAFFIC_LOCATOR => push_locator(&mut meta, value),
-                parameters::DEFAULT_LOCATOR => push_locator(&mut user, value),
+                parameters::DEFAULT_LOCATOR => {
+                    has_user = true;
+                    push_locator(&mut user, value);
+                }
                 parameters::PARTICIPANT_LEASE => {
                     lease = Duration::from_secs(u64::from(value.u32(0)?)).min(LONGEST_LEASE);
                 }
-                parameters::VENDOR_ID => is_cyclone = value.bytes.starts_with(&CYCLONE),
+                parameters::VENDOR_ID => vendor = *value.bytes.first_chunk()?,
                 _ => {}
             }
         }
         let Some(place) = Place::choose(&meta, source, own) else {
             return Some(Err(Unreachable));
         };
-        if !user.is_empty() && Place::choose(&user, source, own).is_none() {
+        if has_user && Place::choose(&user, source, own).is_none() {
             return Some(Err(Unreachable));
         }
         Some(Ok(Self {
@@ -177,7 +180,7 @@ impl ParticipantData {
             user,
             source,
             lease,
-            is_cyclone,
+            vendor,
         }))
     }
 
@@ -246,7 +249,7 @@ impl Endpoint {
         let asks = side == Side::Readers;
         // Writers are reliable unless they say otherwise; readers ask for it.
         let (mut reliable, mut transient_local, mut names_hash) = (!asks, false, false);
-        let mut has_request_header = participant.is_cyclone;
+        let mut has_request_header = participant.vendor == CYCLONE;
         let mut promise = None;
         let mut locators = vec![];
         for (parameter, value) in parameters::read(payload)? {
@@ -327,6 +330,8 @@ struct Participant {
     /// When it was heard first.
     since: Instant,
     heard: Instant,
+    /// When it was asked last whether it is still there.
+    probed: Instant,
     /// It has acknowledged something, from the place that it names.
     is_confirmed: bool,
     /// When it is to be told of us again, and how often at once. One that has only just begun hears
@@ -372,16 +377,18 @@ pub struct Discovery {
 impl Discovery {
     /// A participant says that it is there.
     pub fn participant(&mut self, prefix: Prefix, mut data: ParticipantData, now: Instant) -> News {
+        let mut since = now;
         if let Some(known) = self.participants.get_mut(&prefix) {
             // A host may speak from several addresses: the one that works stays.
             if known.is_confirmed && data.named.contains(&known.data.meta.address) {
                 (data.meta, data.source) = (known.data.meta, known.data.source);
             }
             if known.data.meta == data.meta {
-                (known.data, known.heard) = (data, now);
+                known.data = data;
                 return known.hears_again(now);
             }
-            // It has moved: all begins anew.
+            // It has moved: all begins anew. One that names its places in turn goes on to be unheard.
+            since = if known.is_confirmed { now } else { known.since };
             self.forget(prefix);
         }
         if self.participants.len() == MAX_PARTICIPANTS {
@@ -389,8 +396,9 @@ impl Discovery {
         }
         let participant = Participant {
             data,
-            since: now,
+            since,
             heard: now,
+            probed: now,
             is_confirmed: false,
             tell_again: now + TELL_INTERVAL,
             tells_at_once: TELLS,
@@ -586,6 +594,35 @@ impl Discovery {
         Some((samples.ack(), participant.data.meta))
     }
 
+    /// The same where it was asked before, and nothing came. Fast DDS sends what it takes for acknowledged again
+    /// if the base is 0, with which its own readers begin; others take that for malformed (section 9.4.2.6).
+    pub fn second_ack(&self, prefix: Prefix, side: Side) -> Option<(Ack, Place)> {
+        let (ack, place) = self.ack(prefix, side)?;
+        let anew = Ack {
+            missing: NumberSet::new(0),
+            is_final: false,
+        };
+        let is_fast = self.participants.get(&prefix)?.data.vendor == FAST_DDS;
+        Some((if is_fast { anew } else { ack }, place))
+    }
+
+    /// Those that have been silent for more than half of their lease, now and then: one announcement may be lost,
+    /// and some say nothing else.
+    pub fn silent(&mut self, now: Instant) -> Vec<Prefix> {
+        let mut silent = vec![];
+        for (prefix, one) in &mut self.participants {
+            let lease = one.data.lease;
+            if now.saturating_duration_since(one.heard) > lease / 2
+                && now.saturating_duration_since(one.probed) > lease / 8
+                && one.is_confirmed
+            {
+                one.probed = now;
+                silent.push(*prefix);
+            }
+        }
+        silent
+    }
+
     /// The participants, of those that have acknowledged something, that are to be asked again of which
     /// endpoints they have told.
     pub fn ask_again(&mut self, now: Instant) -> Vec<(Prefix, Side)> {
@@ -678,7 +715,7 @@ mod tests {
             user: vec![],
             source: Ipv4Addr::LOCALHOST,
             lease: Duration::from_secs(seconds),
-            is_cyclone: false,
+            vendor: [0; 2],
         };
         let after = |seconds| start + Duration::from_secs(seconds);
         let soon = start + Duration::from_millis(10);
@@ -694,7 +731,8 @@ mod tests {
             discovery.participant([2; 12], data(20), after(5)),
             News::Unaware
         );
-        discovery.participant([3; 12], data(20), after(6));
+        assert!(discovery.hears([2; 12], Ipv4Addr::LOCALHOST, &[], after(5)));
+        assert!(discovery.hears([3; 12], Ipv4Addr::LOCALHOST, &[], after(6)));
         assert!(discovery.hears([1; 12], Ipv4Addr::LOCALHOST, &[], after(9)));
         assert!(!discovery.hears([1; 12], Ipv4Addr::new(8, 8, 8, 8), &[], after(10)));
         assert!(discovery.expire(after(10)).is_empty());

@@ -6,11 +6,15 @@ use crate::log;
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-/// Findings that are kept. When there are that many, others are told of [`TELL_EVERY`] after the first.
+/// Findings that are kept. When there are that many, those that are over make room, [`ROOM_EVERY`].
 pub const MAX_FINDINGS: usize = 16;
+const ROOM_EVERY: Duration = Duration::from_secs(60);
 
-/// Between warnings of a kind that anyone can cause.
-pub const TELL_EVERY: Duration = Duration::from_secs(60);
+/// A finding about nobody in particular.
+pub const NOBODY: Guid = Guid {
+    prefix: [0; 12],
+    entity: [0; 4],
+};
 
 /// How long a finding lasts when what it is about is no longer known: participants announce themselves more
 /// often.
@@ -27,23 +31,25 @@ struct Finding {
 #[derive(Default)]
 pub struct Findings {
     all: BTreeMap<Guid, Finding>,
-    /// When the first of them was found.
-    since: Option<Instant>,
+    /// When room was made last.
+    cleared: Option<Instant>,
 }
 
 impl Findings {
     /// Something is wrong with a participant or an endpoint.
     pub fn find(&mut self, of: Guid, now: Instant, text: impl FnOnce() -> String) {
         if let Some(known) = self.all.get_mut(&of) {
-            (known.found, known.has_ended) = (now, false);
+            if std::mem::take(&mut known.has_ended) {
+                known.text = text();
+            }
+            known.found = now;
             return;
         }
-        let is_due = self.since.is_none_or(|since| now - since > TELL_EVERY);
+        let is_due = self.cleared.is_none_or(|at| now - at > ROOM_EVERY);
         if self.all.len() == MAX_FINDINGS && is_due {
-            self.all.clear();
-        }
-        if self.all.is_empty() {
-            self.since = Some(now);
+            self.all
+                .retain(|_, one| !one.has_ended && now < one.found + LASTS);
+            self.cleared = Some(now);
         }
         if self.all.len() < MAX_FINDINGS {
             let finding = Finding {
@@ -56,14 +62,14 @@ impl Findings {
         }
     }
 
-    /// It is well again.
+    /// Something is well again.
     pub fn end(&mut self, of: Guid) {
         if let Some(finding) = self.all.get_mut(&of) {
             finding.has_ended = true;
         }
     }
 
-    /// What is wrong now.
+    /// Says what is wrong at a time.
     pub fn lasting(&self, now: Instant, is_known: impl Fn(Guid) -> bool) -> Vec<String> {
         let lasts = |(of, one): &(&Guid, &Finding)| {
             !one.has_ended && (is_known(**of) || now < one.found + LASTS)

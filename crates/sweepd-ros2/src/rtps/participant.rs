@@ -63,8 +63,6 @@ struct State {
     /// The addresses of this host.
     addresses: Vec<Ipv4Addr>,
     entities: u32,
-    /// When it was told last that there is no room for others.
-    told_full: Option<Instant>,
 }
 
 struct Shared {
@@ -364,6 +362,9 @@ impl Ways {
             Match::Yes => {
                 let link = self.link(reader.place);
                 let is_confirmed = confirmed_host == Some(reader.place.host());
+                if is_confirmed {
+                    self.findings.end(reader.guid);
+                }
                 writer.add_reader(reader, link, is_confirmed, Instant::now(), out);
             }
             Match::AsksFor(what) => {
@@ -453,7 +454,6 @@ impl Shared {
             ways: Ways::default(),
             addresses: sockets::addresses()?,
             entities: 0,
-            told_full: None,
         };
         Ok(Self {
             prefix,
@@ -653,7 +653,7 @@ impl Shared {
         let mut out = Outbox::default();
         let mut state = lock(&self.state);
         for (prefix, unheard) in state.discovery.expire(now) {
-            state.forget(prefix);
+            state.remove_endpoints(prefix);
             if let Some(place) = unheard {
                 let who = Guid::new(prefix, wire::PARTICIPANT);
                 self.find_unheard(&mut state, (None, who), place, now);
@@ -672,7 +672,7 @@ impl Shared {
         }
         state.fill_readers(&mut out);
         self.ask_again(&mut state, now, &mut out);
-        state.tell_full(now);
+        state.find_full(now);
         out
     }
 

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 /// Samples ahead of the first that is missing.
 pub const WINDOW: u64 = 256;
 
-/// First time after which a writer is asked again what it has; doubled while it does not say so.
+/// First time after which a writer is asked again; doubled while nothing comes of it.
 const ASK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Longest such time.
@@ -22,9 +22,11 @@ pub struct Received {
     ahead: BTreeSet<u64>,
     /// The newest that the writer told of.
     newest: u64,
-    /// When the writer is asked again what it has, and how long after it was asked before; none once it has
-    /// said so. Who begins anew cannot know what the writer takes for acknowledged (section 8.4.12).
-    ask: Option<(Instant, Duration)>,
+    /// The writer has said what it has. Who begins anew cannot know what the writer takes for acknowledged
+    /// (section 8.4.12).
+    is_told: bool,
+    /// When the writer is asked again, and how long after it was asked before.
+    ask: (Instant, Duration),
 }
 
 impl Received {
@@ -34,7 +36,8 @@ impl Received {
             next: 1,
             ahead: BTreeSet::new(),
             newest: 0,
-            ask: Some((now + ASK_INTERVAL, ASK_INTERVAL)),
+            is_told: false,
+            ask: (now + ASK_INTERVAL, ASK_INTERVAL),
         }
     }
 
@@ -66,17 +69,22 @@ impl Received {
     pub fn heartbeat(&mut self, first: u64, last: u64) {
         self.skip_to(first);
         self.newest = last;
-        self.ask = None;
+        self.is_told = true;
     }
 
-    /// Whether the writer is to be asked again now.
+    /// Whether the writer is to be asked again now: it has not said what it has, or not sent all of it. It may
+    /// take that for acknowledged, and never send it by itself.
     pub fn asks_again(&mut self, now: Instant) -> bool {
-        let due = self.ask.filter(|(at, _)| *at <= now);
-        if let Some((_, interval)) = due {
+        let (at, interval) = self.ask;
+        let has_all = self.is_told && self.next > self.newest;
+        let is_due = !has_all && at <= now;
+        if has_all {
+            self.ask = (now + ASK_INTERVAL, ASK_INTERVAL);
+        } else if is_due {
             let interval = (interval * 2).min(LONGEST_INTERVAL);
-            self.ask = Some((now + interval, interval));
+            self.ask = (now + interval, interval);
         }
-        due.is_some()
+        is_due
     }
 
     /// Those from `first` to before the base of `more` will never come, and those of `more`.
@@ -109,7 +117,7 @@ impl Received {
             }
         }
         Ack {
-            is_final: self.ask.is_none() && missing.is_empty(),
+            is_final: self.is_told && missing.is_empty(),
             missing,
         }
     }
@@ -150,6 +158,9 @@ mod tests {
             .filter(|seconds| received.asks_again(start + Duration::from_secs(*seconds)))
             .collect();
         assert_eq!(asked, [1, 3, 7, 15, 31, 63, 95]);
+        let asks_at = |received: &mut Received, seconds| {
+            received.asks_again(start + Duration::from_secs(seconds))
+        };
         // A sample alone says nothing of those before it.
         assert!(received.insert(2));
         let nothing = NumberSet::new(1);
@@ -157,6 +168,12 @@ mod tests {
         assert_eq!(received.ack(), ack(nothing, false));
         received.heartbeat(2, 2);
         assert_eq!(received.ack(), ack(NumberSet::new(3), true));
-        assert!(!received.asks_again(start + Duration::from_secs(100)));
+        assert!(!asks_at(&mut received, 130));
+        // What it has does not come.
+        received.heartbeat(2, 3);
+        let asked = [130, 131, 132, 133].map(|seconds| asks_at(&mut received, seconds));
+        assert_eq!(asked, [false, true, false, true]);
+        assert!(received.insert(3));
+        assert!(!asks_at(&mut received, 200) && !asks_at(&mut received, 201));
     }
 }

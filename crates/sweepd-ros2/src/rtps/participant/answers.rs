@@ -1,16 +1,15 @@
 //! What follows from what others say: whom we meet, who reads and writes what, and who misses what.
 
 use super::{ANSWER_RATIO, Shared, State, rival};
-use crate::log;
 use crate::rtps::discovery::{
     Endpoint, MAX_ENDPOINTS, MAX_PARTICIPANTS, News, ParticipantData, Place, Side, Unreachable,
     is_own,
 };
-use crate::rtps::findings::TELL_EVERY;
+use crate::rtps::findings::NOBODY;
 use crate::rtps::flow::lock;
 use crate::rtps::parameters;
 use crate::rtps::reader::Reader;
-use crate::rtps::wire::{self, ANY_READER, Data, EntityId, Guid, Prefix, Submessage};
+use crate::rtps::wire::{self, ANY_READER, Ack, Data, EntityId, Guid, Prefix, Submessage};
 use crate::rtps::writer::Outbox;
 use std::collections::BTreeMap;
 use std::net::{Ipv4Addr, SocketAddrV4};
@@ -48,17 +47,10 @@ impl Shared {
         let is_there = (state.discovery).hears(prefix, source, &state.addresses, now);
         match submessage {
             Submessage::Data(data) if data.writer == wire::PARTICIPANTS_WRITER => {
-                if data.disposed {
-                    if is_there {
-                        state.discovery.forget(prefix);
-                        state.forget(prefix);
-                    }
-                    return;
-                }
-                match ParticipantData::read(data.payload, source, &state.addresses) {
-                    Some(Ok(meets)) => self.meet(state, prefix, meets, out),
-                    Some(Err(Unreachable)) => state.find_unreachable(prefix, source, now),
-                    None => {}
+                match data.disposed {
+                    true if is_there => state.forget(prefix),
+                    true => {}
+                    false => self.announced(state, prefix, source, data.payload, out),
                 }
             }
             // Anyone can speak in its name.
@@ -101,6 +93,22 @@ impl Shared {
                 }
             },
             acknowledgement => state.acknowledged(prefix, acknowledgement, out),
+        }
+    }
+
+    /// A participant says that it is there, and where.
+    fn announced(
+        &self,
+        state: &mut State,
+        prefix: Prefix,
+        source: Ipv4Addr,
+        payload: &[u8],
+        out: &mut Outbox,
+    ) {
+        match ParticipantData::read(payload, source, &state.addresses) {
+            Some(Ok(data)) => self.meet(state, prefix, data, out),
+            Some(Err(Unreachable)) => state.find_unreachable(prefix, source),
+            None => {}
         }
     }
 
@@ -154,7 +162,7 @@ impl Shared {
             let named: Vec<String> = named.iter().map(SocketAddrV4::to_string).collect();
             format!(
                 "{what} at {} has acknowledged nothing for 10 s, and gets nothing: it was told that we are at {}; a \
-                 firewall or an address translation may be between",
+                 firewall, an address translation or DDS Security may be between",
                 place.address,
                 named.join(", ")
             )
@@ -163,17 +171,32 @@ impl Shared {
 
     /// Says to a participant of which of its endpoints we have heard.
     fn ask_for_endpoints(&self, state: &mut State, prefix: Prefix, side: Side, out: &mut Outbox) {
-        if let Some((ack, place)) = state.discovery.ack(prefix, side) {
-            let (reader, writer) = side.builtin();
-            let (reader, writer) = (self.guid(reader), Guid::new(prefix, writer));
-            out.message(place.address, state.ways.acknack(reader, writer, &ack));
+        if let Some(said) = state.discovery.ack(prefix, side) {
+            self.say(state, (prefix, side), said, out);
         }
     }
 
-    /// Asks writers again that have not said what they have.
+    fn say(
+        &self,
+        state: &mut State,
+        (prefix, side): (Prefix, Side),
+        (ack, place): (Ack, Place),
+        out: &mut Outbox,
+    ) {
+        let (reader, writer) = side.builtin();
+        let (reader, writer) = (self.guid(reader), Guid::new(prefix, writer));
+        out.message(place.address, state.ways.acknack(reader, writer, &ack));
+    }
+
+    /// Asks those that are silent whether they are there, and writers again of which something is missing.
     pub(super) fn ask_again(&self, state: &mut State, now: Instant, out: &mut Outbox) {
+        for prefix in state.discovery.silent(now) {
+            state.ask_whether_it_hears(prefix, out);
+        }
         for (prefix, side) in state.discovery.ask_again(now) {
-            self.ask_for_endpoints(state, prefix, side, out);
+            if let Some(said) = state.discovery.second_ack(prefix, side) {
+                self.say(state, (prefix, side), said, out);
+            }
         }
         for reader in state.readers.values_mut() {
             for (writer, ack, place) in reader.asks_again(now) {
@@ -188,7 +211,6 @@ impl Shared {
     fn meet(&self, state: &mut State, prefix: Prefix, data: ParticipantData, out: &mut Outbox) {
         let place = data.meta;
         if let Some(displaced) = state.discovery.displaced_by(prefix) {
-            state.discovery.forget(displaced);
             state.forget(displaced);
         }
         let now = Instant::now();
@@ -199,23 +221,23 @@ impl Shared {
         let via = self.transport.sockets.source_to(*place.address.ip());
         let announcement = self.announcement(&state.addresses, via);
         out.message(place.address, announcement);
-        let host = state.discovery.confirmed_host(prefix);
-        if news == News::Unaware && host.is_some() {
+        if news == News::Unaware && state.discovery.confirmed_host(prefix).is_some() {
             return;
-        }
-        if news == News::New {
-            // One that was here before has moved.
-            state.forget(prefix);
         }
         for side in Side::BOTH {
             self.ask_for_endpoints(state, prefix, side, out);
         }
+        if news == News::Unaware {
+            state.ask_whether_it_hears(prefix, out);
+            return;
+        }
+        // One that was here before has moved.
+        state.remove_endpoints(prefix);
         for side in Side::BOTH {
             let reader = Endpoint::builtin_reader(prefix, side, place);
             let link = state.ways.link(place);
             if let Some((_, telling)) = state.writers.get_mut(&side.builtin().1) {
-                telling.remove_readers(|guid| guid == reader.guid);
-                telling.add_reader(&reader, link, host.is_some(), now, out);
+                telling.add_reader(&reader, link, false, now, out);
             }
         }
     }
@@ -265,9 +287,9 @@ impl State {
     }
 
     /// Warns of a participant that cannot be reached.
-    fn find_unreachable(&mut self, prefix: Prefix, source: Ipv4Addr, now: Instant) {
+    fn find_unreachable(&mut self, prefix: Prefix, source: Ipv4Addr) {
         let who = Guid::new(prefix, wire::PARTICIPANT);
-        self.ways.findings.find(who, now, || {
+        self.ways.findings.find(who, Instant::now(), || {
             let id: Vec<String> = prefix.iter().map(|byte| format!("{byte:02x}")).collect();
             format!(
                 "the participant at {source} whose GIDs begin with {} gets nothing: it names no address of UDP over \
@@ -315,15 +337,15 @@ impl State {
         }
     }
 
-    /// Warns, now and then, that somebody found no room.
-    pub(super) fn tell_full(&mut self, now: Instant) {
-        let is_due = self.told_full.is_none_or(|at| now - at > TELL_EVERY);
-        if std::mem::take(&mut self.discovery.is_full) && is_due {
-            self.told_full = Some(now);
-            log::warn(format_args!(
-                "{MAX_PARTICIPANTS} participants, or {MAX_ENDPOINTS} subscribers or publishers, are known on this ROS \
-                 domain, the most that there is room for: others may get nothing until some leave"
-            ));
+    /// Warns that somebody found no room.
+    pub(super) fn find_full(&mut self, now: Instant) {
+        if std::mem::take(&mut self.discovery.is_full) {
+            self.ways.findings.find(NOBODY, now, || {
+                format!(
+                    "{MAX_PARTICIPANTS} participants, or {MAX_ENDPOINTS} subscribers or publishers, are known on this \
+                     ROS domain, the most that there is room for: others may get nothing until some leave"
+                )
+            });
         }
     }
 
@@ -357,7 +379,14 @@ impl State {
         }
     }
 
+    /// A participant has gone, or was never there.
     pub(super) fn forget(&mut self, prefix: Prefix) {
+        self.discovery.forget(prefix);
+        self.remove_endpoints(prefix);
+    }
+
+    /// The endpoints of a participant are no more.
+    pub(super) fn remove_endpoints(&mut self, prefix: Prefix) {
         self.remove(|guid| guid.prefix == prefix);
         self.ways.drop_unused();
     }

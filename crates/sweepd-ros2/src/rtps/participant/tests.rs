@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::environment::StaticPeer;
-use crate::rtps::discovery::{MAX_ENDPOINTS, MAX_PARTICIPANTS, ParticipantData};
+use crate::rtps::discovery::{MAX_ENDPOINTS, MAX_PARTICIPANTS};
 use crate::rtps::findings::MAX_FINDINGS;
 use crate::rtps::wire::{Fragments, Heartbeat, NumberSet, SampleId, Submessage};
 use crate::rtps::writer::OUTBOX;
@@ -97,18 +97,6 @@ fn acks(out: &Outbox, to: Prefix) -> BTreeMap<EntityId, Ack> {
         _ => None,
     });
     acks.collect()
-}
-
-/// What a participant says of itself in a message.
-fn data_at(message: &Message, source: Ipv4Addr) -> ParticipantData {
-    let mut said = wire::read(message.bytes(), [0; 12]).unwrap();
-    let Some(Submessage::Data(data)) = said.next() else {
-        panic!("no data");
-    };
-    match ParticipantData::read(data.payload, source, &[]) {
-        Some(Ok(data)) => data,
-        _ => panic!("no place"),
-    }
 }
 
 /// "You have told me of no writer of yours."
@@ -915,11 +903,8 @@ fn who_acknowledges_nothing_is_told_of_with_the_addresses_that_it_was_told() {
     for prefix in [mute, begins] {
         receive(&participant_at(prefix, &[there]));
     }
-    lock(&participant.shared.state).discovery.participant(
-        mute,
-        data_at(&participant_at(mute, &[there]), there),
-        after(6),
-    );
+    let heard = (lock(&participant.shared.state).discovery).hears(mute, there, &[], after(6));
+    assert!(heard);
     participant.shared.tick(after(9));
     assert!(findings(&participant, after(9)).is_empty());
     participant.shared.tick(after(11));
