@@ -4,14 +4,14 @@
 //! attacker. There are 256 addresses that the attacker sends from, and at which nothing answers.
 
 use std::process::{Command, Stdio};
-use std::time::{Duration, Instant};
 
 use serde_json::json;
-use sweepd_lab::testkit::{PATIENCE, Process};
+use sweepd_lab::testkit::Process;
 
 use super::alone;
 use super::crowd::{listen, lost_of_each};
 use super::expected::Consumer;
+use super::network::Network;
 use super::peer::{Peer, interpreter, script};
 use super::world::{World, hdl64e};
 
@@ -23,49 +23,6 @@ const CLOUDS: usize = 60;
 const MAY_LOSE: u64 = 2;
 /// Runs in which another program may have the cores.
 const RUNS: usize = 3;
-
-/// A network namespace, which ends with this.
-struct Network(Process);
-
-impl Network {
-    fn new() -> Self {
-        let mut holder = Command::new("unshare");
-        let network = Self(Process::start(holder.args(["-n", "sleep", "600"])).unwrap());
-        let of = |pid: &str| std::fs::read_link(format!("/proc/{pid}/ns/net")).unwrap();
-        let begun = Instant::now();
-        while of(&network.pid()) == of("self") {
-            assert!(begun.elapsed() < PATIENCE, "no new network");
-            std::thread::sleep(Duration::from_millis(10));
-        }
-        network
-    }
-
-    fn pid(&self) -> String {
-        self.0.child.id().to_string()
-    }
-
-    /// The same command in here.
-    fn within(&self, command: &Command) -> Command {
-        let mut inside = Command::new("nsenter");
-        inside.args(["-t", &self.pid(), "-n"]);
-        inside.arg(command.get_program()).args(command.get_args());
-        for (name, value) in command.get_envs() {
-            match value {
-                Some(value) => inside.env(name, value),
-                None => inside.env_remove(name),
-            };
-        }
-        inside
-    }
-
-    fn shell(&self, script: &str) -> String {
-        let mut shell = Command::new("sh");
-        let output = self.within(shell.args(["-ec", script])).output().unwrap();
-        let said = String::from_utf8_lossy(&output.stdout).into_owned();
-        assert!(output.status.success(), "{script}: {output:?}");
-        said
-    }
-}
 
 /// Joins the networks. What is sent to an address of 10.79.1.0/24 finds nobody, as nothing answers
 /// who has it; who is in the second may send from all of them.

@@ -16,6 +16,7 @@ mod events;
 mod expected;
 mod far;
 mod measure;
+mod network;
 mod parameters;
 mod parts;
 mod peer;
