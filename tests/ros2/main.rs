@@ -15,6 +15,7 @@ mod deskew;
 mod events;
 mod expected;
 mod far;
+mod gaps;
 mod measure;
 mod network;
 mod parameters;

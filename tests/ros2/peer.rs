@@ -95,9 +95,14 @@ impl Peer {
         Self::start(command, dds_domain)
     }
 
-    /// What a command starts.
+    /// What a command starts, on a domain of this host alone.
     pub fn start(mut command: Command, dds_domain: u32) -> Self {
         on_domain(&mut command, dds_domain);
+        Self::start_as_is(command)
+    }
+
+    /// What a command starts, with the environment that it has.
+    pub fn start_as_is(mut command: Command) -> Self {
         let mut process = Process::start(command.stdout(Stdio::piped())).unwrap();
         let stdout = process.child.stdout.take().unwrap();
         let (sender, said) = channel();
