@@ -602,8 +602,11 @@ impl Discovery {
             missing: NumberSet::new(0),
             is_final: false,
         };
-        let is_fast = self.participants.get(&prefix)?.data.vendor == FAST_DDS;
-        Some((if is_fast { anew } else { ack }, place))
+        let said = match self.fast_dds(prefix) {
+            Some(_) => anew,
+            None => ack,
+        };
+        Some((said, place))
     }
 
     /// Those that have been silent for more than half of their lease, now and then: one announcement may be lost,
@@ -624,17 +627,22 @@ impl Discovery {
     }
 
     /// The participants, of those that have acknowledged something, that are to be asked again of which
-    /// endpoints they have told.
-    pub fn ask_again(&mut self, now: Instant) -> Vec<(Prefix, Side)> {
+    /// endpoints they have told, and for which time.
+    pub fn ask_again(&mut self, now: Instant) -> Vec<(Prefix, Side, u32)> {
         let mut due = vec![];
         for (prefix, one) in &mut self.participants {
             for side in Side::BOTH.into_iter().filter(|_| one.is_confirmed) {
-                if one.told[side as usize].samples.asks_again(now) {
-                    due.push((*prefix, side));
-                }
+                let times = one.told[side as usize].samples.asks_again(now);
+                due.extend(times.map(|times| (*prefix, side, times)));
             }
         }
         due
+    }
+
+    /// Where a participant hears of others that is one of Fast DDS.
+    pub fn fast_dds(&self, prefix: Prefix) -> Option<Place> {
+        let one = self.participants.get(&prefix)?;
+        (one.data.vendor == FAST_DDS).then_some(one.data.meta)
     }
 
     /// Where a participant hears of others.

@@ -20,14 +20,16 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, Read};
 use std::net::{Ipv4Addr, SocketAddrV4};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// How long others may hear nothing of us before they forget us.
-const LEASE_SECONDS: u32 = 20;
+/// How long others may hear nothing of us before they forget us, and how long one that is to forget us may: in
+/// seconds, and 2^-32 of them.
+const LEASE: [u32; 2] = [20, 0];
+const SHORT_LEASE: [u32; 2] = [0, 1 << 31];
 
 /// How often we say that we are there: soon and often at first, so that others find us at once.
 const ANNOUNCEMENTS: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(3)];
@@ -78,6 +80,8 @@ struct Shared {
     /// Those to other hosts that wait or are on their way there.
     far_behind: AtomicUsize,
     closed: AtomicBool,
+    /// Number of the sample that says that we are there.
+    announced: AtomicU64,
 }
 
 /// A participant; others are told when it is dropped.
@@ -466,6 +470,7 @@ impl Shared {
             behind: Mutex::default(),
             far_behind: AtomicUsize::new(0),
             closed: AtomicBool::new(false),
+            announced: AtomicU64::new(1),
         })
     }
 
@@ -700,6 +705,11 @@ impl Shared {
 
     /// "I am here", for those who hear it through the interface that has the address `via`.
     fn announcement(&self, addresses: &[Ipv4Addr], via: Ipv4Addr) -> Message {
+        self.announcement_for(addresses, via, LEASE)
+    }
+
+    /// The same for a lease.
+    fn announcement_for(&self, addresses: &[Ipv4Addr], via: Ipv4Addr, lease: [u32; 2]) -> Message {
         let mut list = ParameterList::new();
         list.put(parameters::PROTOCOL_VERSION, &[2, 3]);
         list.put(parameters::VENDOR_ID, &[0, 0]);
@@ -712,7 +722,7 @@ impl Shared {
             list.locator(parameters::METATRAFFIC_LOCATOR, place);
             list.locator(parameters::DEFAULT_LOCATOR, place);
         }
-        list.numbers(parameters::PARTICIPANT_LEASE, &[LEASE_SECONDS, 0]);
+        list.numbers(parameters::PARTICIPANT_LEASE, &lease);
         list.numbers(parameters::BUILTIN_ENDPOINTS, &[BUILTIN_ENDPOINTS]);
         let enclave = format!("enclave={};", self.enclave);
         list.octets(parameters::USER_DATA, enclave.as_bytes());
@@ -720,7 +730,8 @@ impl Shared {
         let payload = list.end();
         let mut message = Message::new(self.prefix);
         message.timestamp(wire::now());
-        message.data(self.participant_route(1), None, payload.len());
+        let number = self.announced.load(Ordering::Relaxed);
+        message.data(self.participant_route(number), None, payload.len());
         message.payload(&payload);
         message
     }
@@ -740,7 +751,8 @@ impl Shared {
         let payload = key.end();
         let mut message = Message::new(self.prefix);
         message.timestamp(wire::now());
-        message.disposal(self.participant_route(2), guid, payload.len());
+        let number = self.announced.fetch_add(1, Ordering::Relaxed) + 1;
+        message.disposal(self.participant_route(number), guid, payload.len());
         message.payload(&payload);
         let state = lock(&self.state);
         let sockets = &self.transport.sockets;

@@ -251,8 +251,8 @@ impl Reader {
     pub fn asks_again(&mut self, now: Instant) -> Vec<(Guid, Ack, Place)> {
         let sources = self.sources.iter_mut().filter(|_| self.terms.reliable);
         let ask = |(guid, source): (&Guid, &mut Source)| {
-            let is_due = source.received.asks_again(now);
-            is_due.then(|| (*guid, source.received.ack(), source.place))
+            source.received.asks_again(now)?;
+            Some((*guid, source.received.ack(), source.place))
         };
         sources.filter_map(ask).collect()
     }

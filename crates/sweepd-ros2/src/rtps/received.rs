@@ -10,8 +10,8 @@ pub const WINDOW: u64 = 256;
 /// First time after which a writer is asked again; doubled while nothing comes of it.
 const ASK_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Longest such time.
-const LONGEST_INTERVAL: Duration = Duration::from_secs(32);
+/// How often it is doubled.
+const MOST_DOUBLINGS: u32 = 5;
 
 /// The numbers of the samples that are there, or will never come.
 #[derive(Debug)]
@@ -25,8 +25,8 @@ pub struct Received {
     /// The writer has said what it has. Who begins anew cannot know what the writer takes for acknowledged
     /// (section 8.4.12).
     is_told: bool,
-    /// When the writer is asked again, and how long after it was asked before.
-    ask: (Instant, Duration),
+    /// When the writer is asked again, and how often it was.
+    ask: (Instant, u32),
 }
 
 impl Received {
@@ -37,7 +37,7 @@ impl Received {
             ahead: BTreeSet::new(),
             newest: 0,
             is_told: false,
-            ask: (now + ASK_INTERVAL, ASK_INTERVAL),
+            ask: (now + ASK_INTERVAL, 0),
         }
     }
 
@@ -72,19 +72,21 @@ impl Received {
         self.is_told = true;
     }
 
-    /// Whether the writer is to be asked again now: it has not said what it has, or not sent all of it. It may
-    /// take that for acknowledged, and never send it by itself.
-    pub fn asks_again(&mut self, now: Instant) -> bool {
-        let (at, interval) = self.ask;
-        let has_all = self.is_told && self.next > self.newest;
-        let is_due = !has_all && at <= now;
-        if has_all {
-            self.ask = (now + ASK_INTERVAL, ASK_INTERVAL);
-        } else if is_due {
-            let interval = (interval * 2).min(LONGEST_INTERVAL);
-            self.ask = (now + interval, interval);
+    /// For which time the writer is asked again now, if it is: it has not said what it has, or not sent all of
+    /// it. It may take that for acknowledged, and never send it by itself.
+    pub fn asks_again(&mut self, now: Instant) -> Option<u32> {
+        let (at, times) = self.ask;
+        if self.is_told && self.next > self.newest {
+            self.ask = (now + ASK_INTERVAL, 0);
+            return None;
         }
-        is_due
+        if now < at {
+            return None;
+        }
+        let times = times + 1;
+        let interval = ASK_INTERVAL * 2u32.pow(times.min(MOST_DOUBLINGS));
+        self.ask = (now + interval, times);
+        Some(times)
     }
 
     /// Those from `first` to before the base of `more` will never come, and those of `more`.
@@ -154,13 +156,15 @@ mod tests {
     fn a_writer_is_asked_until_it_says_what_it_has() {
         let start = Instant::now();
         let mut received = Received::new(start);
-        let asked: Vec<u64> = (0..100)
-            .filter(|seconds| received.asks_again(start + Duration::from_secs(*seconds)))
-            .collect();
-        assert_eq!(asked, [1, 3, 7, 15, 31, 63, 95]);
         let asks_at = |received: &mut Received, seconds| {
-            received.asks_again(start + Duration::from_secs(seconds))
+            let times = received.asks_again(start + Duration::from_secs(seconds))?;
+            Some((seconds, times))
         };
+        let asked: Vec<(u64, u32)> = (0..100)
+            .filter_map(|seconds| asks_at(&mut received, seconds))
+            .collect();
+        let doubled = [(1, 1), (3, 2), (7, 3), (15, 4), (31, 5)];
+        assert_eq!(asked, [&doubled[..], &[(63, 6), (95, 7)]].concat());
         // A sample alone says nothing of those before it.
         assert!(received.insert(2));
         let nothing = NumberSet::new(1);
@@ -168,12 +172,13 @@ mod tests {
         assert_eq!(received.ack(), ack(nothing, false));
         received.heartbeat(2, 2);
         assert_eq!(received.ack(), ack(NumberSet::new(3), true));
-        assert!(!asks_at(&mut received, 130));
+        assert_eq!(asks_at(&mut received, 130), None);
         // What it has does not come.
         received.heartbeat(2, 3);
         let asked = [130, 131, 132, 133].map(|seconds| asks_at(&mut received, seconds));
-        assert_eq!(asked, [false, true, false, true]);
+        assert_eq!(asked, [None, Some((131, 1)), None, Some((133, 2))]);
         assert!(received.insert(3));
-        assert!(!asks_at(&mut received, 200) && !asks_at(&mut received, 201));
+        let asked = [200, 201].map(|seconds| asks_at(&mut received, seconds));
+        assert_eq!(asked, [None, None]);
     }
 }

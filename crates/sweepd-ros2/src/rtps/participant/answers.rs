@@ -1,18 +1,19 @@
 //! What follows from what others say: whom we meet, who reads and writes what, and who misses what.
 
-use super::{ANSWER_RATIO, Shared, State, rival};
+use super::{ANSWER_RATIO, SHORT_LEASE, Shared, State, rival};
 use crate::rtps::discovery::{
-    Endpoint, MAX_ENDPOINTS, MAX_PARTICIPANTS, News, ParticipantData, Place, Side, Unreachable,
-    is_own,
+    Endpoint, MAX_ENDPOINTS, MAX_PARTICIPANTS, News, OwnAddresses, ParticipantData, Place, Side,
+    Unreachable, is_own,
 };
 use crate::rtps::findings::NOBODY;
 use crate::rtps::flow::lock;
 use crate::rtps::parameters;
 use crate::rtps::reader::Reader;
-use crate::rtps::wire::{self, ANY_READER, Ack, Data, EntityId, Guid, Prefix, Submessage};
+use crate::rtps::wire::{self, ANY_READER, Ack, Data, EntityId, Guid, Message, Prefix, Submessage};
 use crate::rtps::writer::Outbox;
 use std::collections::BTreeMap;
 use std::net::{Ipv4Addr, SocketAddrV4};
+use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 impl Shared {
@@ -188,12 +189,26 @@ impl Shared {
         out.message(place.address, state.ways.acknack(reader, writer, &ack));
     }
 
+    /// "I am here for half a second." One of Fast DDS that was stopped for longer than our lease may know us, but
+    /// none of our endpoints: it removes those for the lease that has ended, while it meets us anew by what waits
+    /// in its socket. It takes nothing of us then, nor does that end, as each datagram renews the lease. It removes
+    /// us for this one, and meets us at the next announcement.
+    fn short_lease(&self, addresses: &OwnAddresses, place: Place) -> Message {
+        // It reads no announcement twice.
+        self.announced.fetch_add(1, Ordering::Relaxed);
+        let via = self.transport.sockets.source_to(*place.address.ip());
+        self.announcement_for(addresses, via, SHORT_LEASE)
+    }
+
     /// Asks those that are silent whether they are there, and writers again of which something is missing.
     pub(super) fn ask_again(&self, state: &mut State, now: Instant, out: &mut Outbox) {
         for prefix in state.discovery.silent(now) {
             state.ask_whether_it_hears(prefix, out);
         }
-        for (prefix, side) in state.discovery.ask_again(now) {
+        for (prefix, side, times) in state.discovery.ask_again(now) {
+            if let Some(place) = state.discovery.fast_dds(prefix).filter(|_| times == 2) {
+                out.message(place.address, self.short_lease(&state.addresses, place));
+            }
             if let Some(said) = state.discovery.second_ack(prefix, side) {
                 self.say(state, (prefix, side), said, out);
             }
