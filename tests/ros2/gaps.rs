@@ -144,7 +144,7 @@ fn on_subnet(mut command: Command) -> Command {
 }
 
 /// Takes something away for so many seconds, again and again: each time all subscribers must get
-/// clouds within so many seconds of its return.
+/// clouds again, within so many seconds of its return.
 fn check(away: Away, gaps_s: &[u64], limit_s: f64) {
     let host = [Network::new()];
     let robot = Robot::new(&host);
@@ -183,7 +183,7 @@ fn check(away: Away, gaps_s: &[u64], limit_s: f64) {
             }
         }
     }
-    assert!(late.is_empty(), "more than {limit_s} s: {late:#?}");
+    assert!(late.is_empty(), "after more than {limit_s} s: {late:#?}");
 }
 
 #[test]
@@ -192,15 +192,16 @@ fn check(away: Away, gaps_s: &[u64], limit_s: f64) {
     ignore = "not root, or no peers of ROS 2: SWEEPD_JAZZY, SWEEPD_KILTED, SWEEPD_ROS_PYTHON, libfastrtps-dev"
 )]
 fn clouds_come_again_after_a_link_was_down() {
-    // Shorter than all leases, between that of Cyclone DDS (10 s) and our own (20 s), and longer.
-    check(Away::Link, &[5, 14, 21], 15.0);
+    // Shorter than all leases, between that of Cyclone DDS (10 s) and our own (20 s), and longer. A
+    // machine may be late: here they must come at all.
+    check(Away::Link, &[5, 14, 21], f64::INFINITY);
 }
 
 /// `cargo test --features slow-tests --test ros2 gaps -- --ignored --nocapture --test-threads 1`
 #[test]
 #[ignore = "takes minutes"]
-fn clouds_come_again_after_links_were_down_for_other_times() {
-    check(Away::Link, &[3, 8, 12, 17, 40], 15.0);
+fn clouds_come_again_in_time_after_a_link_was_down() {
+    check(Away::Link, &[3, 5, 8, 12, 14, 17, 21, 40], 15.0);
 }
 
 #[test]

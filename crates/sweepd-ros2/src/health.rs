@@ -270,7 +270,7 @@ fn of_others(mut findings: Vec<String>) -> Status {
     let more = findings.len().saturating_sub(MOST_NAMED);
     findings.truncate(MOST_NAMED);
     let (level, message) = match (findings.is_empty(), more) {
-        (true, _) => (Level::Ok, "all others are reached".to_owned()),
+        (true, _) => (Level::Ok, "nothing is wrong with others".to_owned()),
         (false, 0) => (Level::Warn, findings.join("; ")),
         (false, more) => (
             Level::Warn,

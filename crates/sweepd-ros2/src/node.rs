@@ -235,7 +235,7 @@ impl Node {
         })
     }
 
-    /// What is wrong with others on the domain now, a sentence each: whom nothing reaches, who asks for more than
+    /// Sentences on what is wrong with others on the domain now: whom nothing reaches, who asks for more than
     /// is offered, and who publishes the same topic. The log has each once.
     pub fn findings(&self) -> Vec<String> {
         self.inner.participant.findings()

@@ -31,7 +31,7 @@ const LONGEST_LEASE: Duration = Duration::from_secs(300);
 const TELLS: u32 = 8;
 const TELL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// The interval in which one that knows us is: it may have forgotten us, and hear no group.
+/// Interval in which one that knows us is: it may have forgotten us, and hear no group.
 const RETELL_INTERVAL: Duration = Duration::from_secs(5);
 
 /// Vendors of Fast DDS and of Cyclone DDS.
@@ -142,6 +142,7 @@ pub struct ParticipantData {
     user: Vec<SocketAddrV4>,
     source: Ipv4Addr,
     lease: Duration,
+    /// Vendor of its DDS.
     vendor: [u8; 2],
 }
 
@@ -330,7 +331,7 @@ struct Participant {
     /// When it was heard first.
     since: Instant,
     heard: Instant,
-    /// When it was asked last whether it is still there.
+    /// Moment at which it was asked last whether it is still there.
     probed: Instant,
     /// It has acknowledged something, from the place that it names.
     is_confirmed: bool,
@@ -347,7 +348,7 @@ impl Participant {
         &self.told[side as usize].endpoints
     }
 
-    /// It says again that it is there: whether it is told of us again.
+    /// Says whether it is told of us again, as it says again that it is there.
     fn hears_again(&mut self, now: Instant) -> News {
         if now < self.tell_again {
             return News::Known;
@@ -510,7 +511,7 @@ impl Discovery {
         gone
     }
 
-    /// Whether an endpoint is known; of another entity, its participant.
+    /// True if an endpoint is known; of another entity, its participant.
     pub fn knows(&self, guid: Guid) -> bool {
         let is_endpoint = ![wire::PARTICIPANT, wire::ANY_READER].contains(&guid.entity);
         self.participants.get(&guid.prefix).is_some_and(|one| {
@@ -587,14 +588,14 @@ impl Discovery {
         }
     }
 
-    /// What a participant is told of the samples in which it tells of its endpoints, and where.
+    /// Acknowledgement of the samples in which a participant tells of its endpoints, and its place.
     pub fn ack(&self, prefix: Prefix, side: Side) -> Option<(Ack, Place)> {
         let participant = self.participants.get(&prefix)?;
         let samples = &participant.told[side as usize].samples;
         Some((samples.ack(), participant.data.meta))
     }
 
-    /// The same where it was asked before, and nothing came. Fast DDS sends what it takes for acknowledged again
+    /// Acknowledgement for one that was asked before, and of which nothing came. Fast DDS sends what it takes for acknowledged again
     /// if the base is 0, with which its own readers begin; others take that for malformed (section 9.4.2.6).
     pub fn second_ack(&self, prefix: Prefix, side: Side) -> Option<(Ack, Place)> {
         let (ack, place) = self.ack(prefix, side)?;
@@ -609,8 +610,8 @@ impl Discovery {
         Some((said, place))
     }
 
-    /// Those that have been silent for more than half of their lease, now and then: one announcement may be lost,
-    /// and some say nothing else.
+    /// Participants that have been silent for more than half of their lease, now and then: one announcement may be
+    /// lost, and some say nothing else.
     pub fn silent(&mut self, now: Instant) -> Vec<Prefix> {
         let mut silent = vec![];
         for (prefix, one) in &mut self.participants {
@@ -626,8 +627,8 @@ impl Discovery {
         silent
     }
 
-    /// The participants, of those that have acknowledged something, that are to be asked again of which
-    /// endpoints they have told, and for which time.
+    /// Participants that are to be asked again of which endpoints they have told, and how often they were; of those
+    /// that have acknowledged something.
     pub fn ask_again(&mut self, now: Instant) -> Vec<(Prefix, Side, u32)> {
         let mut due = vec![];
         for (prefix, one) in &mut self.participants {
@@ -639,7 +640,7 @@ impl Discovery {
         due
     }
 
-    /// Where a participant hears of others that is one of Fast DDS.
+    /// Place of a participant that is one of Fast DDS.
     pub fn fast_dds(&self, prefix: Prefix) -> Option<Place> {
         let one = self.participants.get(&prefix)?;
         (one.data.vendor == FAST_DDS).then_some(one.data.meta)

@@ -6,7 +6,7 @@ use crate::log;
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-/// Findings that are kept. When there are that many, those that are over make room, [`ROOM_EVERY`].
+/// Most findings that are kept. When there are that many, those that are over make room, [`ROOM_EVERY`].
 pub const MAX_FINDINGS: usize = 16;
 const ROOM_EVERY: Duration = Duration::from_secs(60);
 
@@ -16,7 +16,7 @@ pub const NOBODY: Guid = Guid {
     entity: [0; 4],
 };
 
-/// How long a finding lasts when what it is about is no longer known: participants announce themselves more
+/// Time that a finding lasts when what it is about is no longer known: participants announce themselves more
 /// often.
 const LASTS: Duration = Duration::from_secs(30);
 
@@ -31,12 +31,12 @@ struct Finding {
 #[derive(Default)]
 pub struct Findings {
     all: BTreeMap<Guid, Finding>,
-    /// When room was made last.
+    /// Moment at which room was made last.
     cleared: Option<Instant>,
 }
 
 impl Findings {
-    /// Something is wrong with a participant or an endpoint.
+    /// Notes that something is wrong with a participant or an endpoint.
     pub fn find(&mut self, of: Guid, now: Instant, text: impl FnOnce() -> String) {
         if let Some(known) = self.all.get_mut(&of) {
             if std::mem::take(&mut known.has_ended) {
@@ -62,7 +62,7 @@ impl Findings {
         }
     }
 
-    /// Something is well again.
+    /// Notes that something is well again.
     pub fn end(&mut self, of: Guid) {
         if let Some(finding) = self.all.get_mut(&of) {
             finding.has_ended = true;
@@ -78,7 +78,7 @@ impl Findings {
         lasting.map(|(_, one)| one.text.clone()).collect()
     }
 
-    /// How many are kept.
+    /// Counts those that are kept.
     #[cfg(test)]
     pub fn len(&self) -> usize {
         self.all.len()

@@ -80,7 +80,7 @@ struct Shared {
     /// Those to other hosts that wait or are on their way there.
     far_behind: AtomicUsize,
     closed: AtomicBool,
-    /// Number of the sample that says that we are there.
+    /// Number of the newest sample that says that we are there, or no more.
     announced: AtomicU64,
 }
 
@@ -238,7 +238,7 @@ impl Participant {
         writer.map_or_else(Vec::new, |(_, writer)| writer.buffer())
     }
 
-    /// What is wrong with others on the domain.
+    /// Sentences on what is wrong with others on the domain.
     pub fn findings(&self) -> Vec<String> {
         let State {
             discovery, ways, ..
@@ -332,7 +332,7 @@ fn endpoint(guid: Guid, participant: Guid, terms: &Terms) -> Vec<u8> {
     list.end()
 }
 
-/// What a participant is called as one that publishes the same: no endpoint has that number.
+/// Name of a participant as one that publishes the same: no endpoint has that number.
 fn rival(prefix: Prefix) -> Guid {
     Guid::new(prefix, wire::ANY_READER)
 }
@@ -429,7 +429,7 @@ impl Ways {
         }
     }
 
-    /// What a reader of ours has of a writer.
+    /// Message that says what a reader of ours has of a writer.
     fn acknack(&mut self, reader: Guid, writer: Guid, ack: &Ack) -> Message {
         self.acknacks = self.acknacks.wrapping_add(1);
         let mut message = Message::to(reader.prefix, writer.prefix);

@@ -39,7 +39,7 @@ struct Shared {
 }
 
 struct State {
-    /// Of each peer.
+    /// Addresses of each peer.
     addresses: Vec<Addresses>,
     has_left: bool,
 }

@@ -34,7 +34,7 @@ pub struct Sample {
     pub id: SampleId,
     /// Its bytes, encapsulation included.
     pub payload: Vec<u8>,
-    /// That of its writer: [`Endpoint::has_request_header`].
+    /// Form of its writer's requests: [`Endpoint::has_request_header`].
     pub has_request_header: bool,
 }
 

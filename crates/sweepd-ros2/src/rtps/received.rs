@@ -7,10 +7,10 @@ use std::time::{Duration, Instant};
 /// Samples ahead of the first that is missing.
 pub const WINDOW: u64 = 256;
 
-/// First time after which a writer is asked again; doubled while nothing comes of it.
+/// First pause after which a writer is asked again; doubled while nothing comes of it.
 const ASK_INTERVAL: Duration = Duration::from_secs(1);
 
-/// How often it is doubled.
+/// Times that the pause is doubled.
 const MOST_DOUBLINGS: u32 = 5;
 
 /// The numbers of the samples that are there, or will never come.
@@ -22,10 +22,10 @@ pub struct Received {
     ahead: BTreeSet<u64>,
     /// The newest that the writer told of.
     newest: u64,
-    /// The writer has said what it has. Who begins anew cannot know what the writer takes for acknowledged
+    /// Set once the writer has said what it has. Who begins anew cannot know what the writer takes for acknowledged
     /// (section 8.4.12).
     is_told: bool,
-    /// When the writer is asked again, and how often it was.
+    /// Moment at which the writer is asked again, and how often it was.
     ask: (Instant, u32),
 }
 
@@ -72,8 +72,8 @@ impl Received {
         self.is_told = true;
     }
 
-    /// For which time the writer is asked again now, if it is: it has not said what it has, or not sent all of
-    /// it. It may take that for acknowledged, and never send it by itself.
+    /// Counts a further question to the writer, if one is due: it has not said what it has, or not sent all of it. It
+    /// may take that for acknowledged, and never send it by itself.
     pub fn asks_again(&mut self, now: Instant) -> Option<u32> {
         let (at, times) = self.ask;
         if self.is_told && self.next > self.newest {
@@ -110,7 +110,7 @@ impl Received {
         }
     }
 
-    /// What is said to the writer: those that are missing, of those that it told of.
+    /// Acknowledgement for the writer: those that are missing, of those that it told of.
     pub fn ack(&self) -> Ack {
         let mut missing = NumberSet::new(self.next);
         for number in self.next..=self.newest.min(self.next + WINDOW - 1) {

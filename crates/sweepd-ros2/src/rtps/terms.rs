@@ -21,7 +21,7 @@ pub struct Terms {
     pub depth: usize,
     /// For how long readers that come late get them, if not for ever.
     pub lifespan: Option<Duration>,
-    /// Whether nobody else is to write to the topic.
+    /// Set if nobody else is to write to the topic.
     pub is_sole: bool,
 }
 
@@ -62,7 +62,7 @@ impl Terms {
         }
     }
 
-    /// Whether a writer of others writes to a topic that is ours alone.
+    /// True if a writer of others writes to a topic that is ours alone.
     pub fn has_rival(&self, writer: &Endpoint) -> bool {
         self.is_sole && self.is_of(writer)
     }

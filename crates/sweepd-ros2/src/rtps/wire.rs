@@ -225,12 +225,12 @@ pub struct Heartbeat {
     pub count: u32,
 }
 
-/// What a reader says of the samples of a writer.
+/// Acknowledgement of a writer's samples by a reader.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Ack {
-    /// It misses these, and has all before the base.
+    /// Numbers that it misses; it has all before the base.
     pub missing: NumberSet,
-    /// It asks for no answer. If not, the writer must send a heartbeat (section 8.3.7.1).
+    /// Final: it asks for no answer. If not, the writer must send a heartbeat (section 8.3.7.1).
     pub is_final: bool,
 }
 
@@ -383,7 +383,7 @@ impl Message {
         self.0.extend(heartbeat.count.to_le_bytes());
     }
 
-    /// Says what our reader has of a writer.
+    /// Adds what our reader has of a writer.
     pub fn acknack(&mut self, reader: EntityId, writer: EntityId, ack: &Ack, count: u32) {
         let words = ack.missing.bits.div_ceil(32) as usize;
         let flags = if ack.is_final { FINAL } else { 0 };
@@ -503,7 +503,7 @@ pub enum Submessage<'a> {
         first: u64,
         more: NumberSet,
     },
-    /// What a reader has.
+    /// Acknowledgement of a reader.
     AckNack {
         reader: EntityId,
         writer: EntityId,

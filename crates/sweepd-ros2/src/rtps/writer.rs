@@ -23,7 +23,7 @@ const LONGEST_INTERVAL: Duration = Duration::from_secs(3);
 /// Shortest time between two repairs of a sample for a reader.
 const REPAIR_INTERVAL: Duration = Duration::from_millis(20);
 
-/// How long a reader may acknowledge nothing.
+/// Time in which a reader must acknowledge something.
 const HEARD_WITHIN: Duration = Duration::from_secs(10);
 
 /// Messages, and repairs, that follow from one datagram or one tick.
@@ -86,15 +86,15 @@ struct Reader {
     /// Its participant has acknowledged something from its host. Nothing goes to anyone else: the
     /// address may be another's.
     is_confirmed: bool,
-    /// When it was there first.
+    /// Moment at which it was there first.
     since: Instant,
     /// It gets no sample before this.
     from: u64,
     /// It has all up to this.
     acknowledged: u64,
-    /// It has said so, or asked for something.
+    /// Set when it has acknowledged something, or asked for something.
     has_answered: bool,
-    /// It asks what there is, and has got no answer yet.
+    /// Set while it asks what there is, and has got no answer.
     asks: bool,
     /// When it was asked last, or last said something new.
     asked: Instant,
@@ -556,8 +556,8 @@ impl Writer {
         }
     }
 
-    /// The readers that should have acknowledged something by now, and where they are. One of best effort says
-    /// nothing, but its participant does.
+    /// Readers that should have acknowledged something by now, and their places. One of best effort says nothing,
+    /// but its participant does.
     pub fn unheard(&self, now: Instant) -> impl Iterator<Item = (Guid, Place)> {
         let readers = self.readers.iter().filter(move |(_, reader)| {
             let is_heard = match reader.reliable {
