@@ -69,6 +69,11 @@ fn participant_data(prefix: Prefix) -> Message {
 
 /// "I am at one of these addresses."
 fn participant_at(prefix: Prefix, addresses: &[Ipv4Addr]) -> Message {
+    participant_of([1, 0x10], prefix, addresses)
+}
+
+/// The same of a vendor.
+fn participant_of(vendor: [u8; 2], prefix: Prefix, addresses: &[Ipv4Addr]) -> Message {
     let mut list = ParameterList::new();
     for parameter in [parameters::METATRAFFIC_LOCATOR, parameters::DEFAULT_LOCATOR] {
         for address in addresses {
@@ -76,7 +81,7 @@ fn participant_at(prefix: Prefix, addresses: &[Ipv4Addr]) -> Message {
         }
     }
     list.numbers(parameters::PARTICIPANT_LEASE, &[20, 0]);
-    list.put(parameters::VENDOR_ID, &[1, 0x10]);
+    list.put(parameters::VENDOR_ID, &vendor);
     data(prefix, wire::PARTICIPANTS_WRITER, 1, &list.end())
 }
 
@@ -606,6 +611,98 @@ fn one_that_was_forgotten_is_asked_for_all_of_its_endpoints_again() {
     }
 }
 
+/// Fast DDS sends what it takes for acknowledged again to a base of 0 alone, and may know us without endpoints
+/// until our lease ends, which each datagram renews.
+#[test]
+fn one_of_fast_dds_that_does_not_answer_is_asked_as_by_its_own_and_made_to_forget_us() {
+    for (vendor, base, leases) in [
+        ([1, 0x0f], 0, vec![(2, [0, 1 << 31])]),
+        ([1, 0x10], 1, vec![]),
+    ] {
+        let (participant, _writer) = deaf(223);
+        let prefix = [7; 12];
+        let here = participant_of(vendor, prefix, &[Ipv4Addr::LOCALHOST]);
+        let start = Instant::now();
+        let first = acks(&take(&participant, here.bytes()), prefix);
+        take(&participant, acknowledgement(prefix, &participant).bytes());
+        let nothing = |base| asking_for(NumberSet::new(base));
+        let of_both =
+            |base| BTreeMap::from(Side::BOTH.map(|side| (side.builtin().1, nothing(base))));
+        assert_eq!(first, of_both(1));
+        let after = |ms| participant.shared.tick(start + Duration::from_millis(ms));
+        assert_eq!(acks(&after(1500), prefix), of_both(base));
+        let out = after(3600);
+        assert_eq!(acks(&out, prefix), of_both(base));
+        let mut told: Vec<(u64, [u32; 2])> = announced(&out, prefix);
+        told.dedup_by_key(|(_, lease)| *lease);
+        assert_eq!(told, leases);
+        let out = after(7700);
+        assert_eq!(
+            (announced(&out, prefix), acks(&out, prefix)),
+            (vec![], of_both(base))
+        );
+    }
+}
+
+/// Numbers and leases of our announcements.
+fn announced(out: &Outbox, to: Prefix) -> Vec<(u64, [u32; 2])> {
+    let messages = out.messages.iter();
+    let said = messages.filter_map(|(_, message)| wire::read(message.bytes(), to));
+    let announced = said.flatten().filter_map(|one| match one {
+        Submessage::Data(data) if data.writer == wire::PARTICIPANTS_WRITER => {
+            let mut list = parameters::read(data.payload).unwrap();
+            let (_, lease) = list.find(|(id, _)| *id == parameters::PARTICIPANT_LEASE)?;
+            Some((data.number, [lease.u32(0)?, lease.u32(4)?]))
+        }
+        _ => None,
+    });
+    announced.collect()
+}
+
+#[test]
+fn one_that_falls_silent_is_asked_whether_it_is_there_before_its_lease_ends() {
+    let (participant, _writer) = deaf(228);
+    let prefix = [7; 12];
+    let start = Instant::now();
+    take(&participant, participant_data(prefix).bytes());
+    take(&participant, acknowledgement(prefix, &participant).bytes());
+    let mut told = Message::new(prefix);
+    for side in Side::BOTH {
+        let (reader, writer) = side.builtin();
+        let none = Heartbeat {
+            first: 1,
+            last: 0,
+            count: 1,
+        };
+        told.heartbeat(reader, writer, none);
+    }
+    // It has told of all, and has all: nothing else is said to it.
+    told.destination(participant.guid().prefix);
+    for side in Side::BOTH {
+        let (reader, writer) = side.builtin();
+        let all = Ack {
+            missing: NumberSet::new(2),
+            is_final: true,
+        };
+        told.acknack(reader, writer, &all, 2);
+    }
+    take(&participant, told.bytes());
+    // Its lease is 20 s.
+    let mut asked = vec![];
+    for seconds in 1..20 {
+        let out = participant
+            .shared
+            .tick(start + Duration::from_secs(seconds));
+        let is_asked = out.messages.iter().any(|(_, message)| {
+            let mut said = wire::read(message.bytes(), prefix).unwrap();
+            let is_heartbeat = |one| matches!(one, Submessage::Heartbeat { .. });
+            said.any(is_heartbeat)
+        });
+        asked.extend(is_asked.then_some(seconds));
+    }
+    assert_eq!(asked, [11, 14, 17]);
+}
+
 /// A participant has forgotten us, and we have not forgotten it.
 #[test]
 fn one_that_forgot_what_it_acknowledged_is_told_of_it_again() {
@@ -836,12 +933,7 @@ fn the_form_of_a_request_is_that_of_its_client() {
         (3, [0, 0], "typehash=RIHS01_0;clientid=01.10.ab;", true),
     ] {
         let prefix = [id; 12];
-        let mut list = ParameterList::new();
-        list.put(parameters::VENDOR_ID, &vendor);
-        let place = SocketAddrV4::new(Ipv4Addr::LOCALHOST, 9);
-        list.locator(parameters::METATRAFFIC_LOCATOR, place);
-        list.locator(parameters::DEFAULT_LOCATOR, place);
-        let here = data(prefix, wire::PARTICIPANTS_WRITER, 1, &list.end());
+        let here = participant_of(vendor, prefix, &[Ipv4Addr::LOCALHOST]);
         let mut list = ParameterList::new();
         let guid = Guid::new(prefix, WRITER);
         list.put(parameters::ENDPOINT_GUID, &guid.bytes());
