@@ -314,6 +314,18 @@ impl State {
         });
     }
 
+    /// Warns of a participant that tells of an endpoint in fragments: they are not read.
+    fn find_fragments(&mut self, by: Guid) {
+        let place = self.discovery.place(by.prefix);
+        self.ways.findings.find(by, Instant::now(), || {
+            let at = place.map_or(String::new(), |place| format!(" at {}", place.address));
+            format!(
+                "a participant{at} tells of a subscriber or publisher in more than one fragment, which is not read: that \
+                 one gets nothing; give it a shorter topic, or its DDS larger fragments"
+            )
+        });
+    }
+
     /// Brings the endpoints of a participant together with those of ours that they match: one, or all of a
     /// side.
     fn join(&mut self, prefix: Prefix, side: Side, only: Option<EntityId>, out: &mut Outbox) {
@@ -422,6 +434,7 @@ impl State {
             number, payload, ..
         } = *data;
         if data.part.is_some() {
+            self.find_fragments(Guid::new(prefix, data.writer));
             return;
         }
         if data.disposed {

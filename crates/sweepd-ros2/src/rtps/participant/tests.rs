@@ -1097,6 +1097,29 @@ fn who_names_no_address_of_ipv4_is_told_of_once() {
 }
 
 #[test]
+fn an_endpoint_that_is_told_of_in_fragments_is_told_of() {
+    let (participant, _writer) = deaf(227);
+    let prefix = [7; 12];
+    take(&participant, participant_data(prefix).bytes());
+    let of = Fragments {
+        fragment_bytes: 100,
+        sample_bytes: 180,
+    };
+    let route = Route {
+        reader: wire::SUBSCRIPTIONS_READER,
+        writer: wire::SUBSCRIPTIONS_WRITER,
+        number: 1,
+    };
+    let mut first = Message::new(prefix);
+    first.fragment(route, None, (1, of), 100);
+    first.payload(&[0; 100]);
+    take(&participant, first.bytes());
+    let told = findings(&participant, Instant::now());
+    let it = "at 127.0.0.1:9 tells of a subscriber or publisher in more than one fragment";
+    assert!(told.len() == 1 && told[0].contains(it), "{told:?}");
+}
+
+#[test]
 fn another_publisher_of_the_same_topic_is_told_of_for_as_long_as_it_is_there() {
     let (participant, _writer) = deaf(226);
     let prefix = [7; 12];
