@@ -25,8 +25,10 @@ pub struct Received {
     /// Set once the writer has said what it has. Who begins anew cannot know what the writer takes for acknowledged
     /// (section 8.4.12).
     is_told: bool,
-    /// Moment at which the writer is asked again, and how often it was.
+    /// Moment at which the writer is asked again, and how often it was since a sample came.
     ask: (Instant, u32),
+    /// Set when a sample came that was missing, until it counts for the next question.
+    has_come: bool,
 }
 
 impl Received {
@@ -38,6 +40,7 @@ impl Received {
             newest: 0,
             is_told: false,
             ask: (now + ASK_INTERVAL, 0),
+            has_come: false,
         }
     }
 
@@ -51,6 +54,7 @@ impl Received {
         let wanted = self.wants(number);
         if wanted {
             self.ahead.insert(number);
+            self.has_come = true;
             self.advance();
         }
         wanted
@@ -76,7 +80,9 @@ impl Received {
     /// may take that for acknowledged, and never send it by itself.
     pub fn asks_again(&mut self, now: Instant) -> Option<u32> {
         let (at, times) = self.ask;
-        if self.is_told && self.next > self.newest {
+        let has_all = self.is_told && self.next > self.newest;
+        let has_come = std::mem::take(&mut self.has_come);
+        if has_all || has_come {
             self.ask = (now + ASK_INTERVAL, 0);
             return None;
         }
@@ -180,5 +186,12 @@ mod tests {
         assert!(received.insert(3));
         let asked = [200, 201].map(|seconds| asks_at(&mut received, seconds));
         assert_eq!(asked, [None, None]);
+        // Where some come, the count begins anew.
+        received.heartbeat(2, 6);
+        for (number, seconds) in [(4, 204), (5, 206)] {
+            assert_eq!(asks_at(&mut received, seconds - 2), Some((seconds - 2, 1)));
+            assert!(received.insert(number));
+            assert_eq!(asks_at(&mut received, seconds - 1), None);
+        }
     }
 }
