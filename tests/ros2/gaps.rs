@@ -26,7 +26,7 @@ const PAUSE_NS: i64 = 2_000_000_000;
 /// how much shorter than a lease the time between announcements may be.
 const SETTLED_NS: i64 = 5_000_000_000;
 
-/// What is away for a while.
+/// Part that is away for a while.
 #[derive(Clone, Copy, Debug)]
 enum Away {
     Link,

@@ -27,7 +27,7 @@ impl Network {
         self.0.child.id().to_string()
     }
 
-    /// The same command in this network.
+    /// Command that does the same in this network.
     pub fn within(&self, command: &Command) -> Command {
         let mut inside = Command::new("nsenter");
         inside.args(["-t", &self.pid(), "-n"]);

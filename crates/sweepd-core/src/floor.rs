@@ -169,7 +169,7 @@ impl Floor {
         is_higher || self.off_rad(mount) > TILT_OFF_RAD
     }
 
-    /// Whether it is another floor than one that was seen before.
+    /// True if it is another floor than one that was seen before.
     fn is_elsewhere(&self, before: &Self) -> bool {
         let apart_m = f64::from((self.height_m - before.height_m).abs());
         apart_m > (OTHER * f64::from(before.height_m)).max(OTHER_M)

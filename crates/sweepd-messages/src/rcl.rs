@@ -11,7 +11,7 @@ pub static LOG: MessageType = MessageType {
     definition: include_str!("../definitions/Log.txt"),
 };
 
-/// What became of parameters: [`encode_parameter_event`]. It is in no bag, and has no definition here.
+/// Event of parameters: [`encode_parameter_event`]. It is in no bag, and has no definition here.
 pub static PARAMETER_EVENT: MessageType = MessageType {
     name: "rcl_interfaces/msg/ParameterEvent",
     hash: "RIHS01_043e627780fcad87a22d225bc2a037361dba713fca6a6b9f4b869a5aa0393204",

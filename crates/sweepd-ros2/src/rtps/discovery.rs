@@ -595,8 +595,9 @@ impl Discovery {
         Some((samples.ack(), participant.data.meta))
     }
 
-    /// Acknowledgement for one that was asked before, and of which nothing came. Fast DDS sends what it takes for acknowledged again
-    /// if the base is 0, with which its own readers begin; others take that for malformed (section 9.4.2.6).
+    /// Acknowledgement for one that was asked before, and of which nothing came. Fast DDS sends what it takes for
+    /// acknowledged again if the base is 0, with which its own readers begin; others take that for malformed
+    /// (section 9.4.2.6).
     pub fn second_ack(&self, prefix: Prefix, side: Side) -> Option<(Ack, Place)> {
         let (ack, place) = self.ack(prefix, side)?;
         let anew = Ack {

@@ -1,4 +1,4 @@
-//! What is wrong with others on the domain: each is a line of the log once, and is there for as long as it
+//! Findings: what is wrong with others on the domain. Each is a line of the log once, and is kept for as long as it
 //! lasts.
 
 use super::wire::Guid;

@@ -708,7 +708,7 @@ impl Shared {
         self.announcement_for(addresses, via, LEASE)
     }
 
-    /// The same for a lease.
+    /// Announcement with another lease.
     fn announcement_for(&self, addresses: &[Ipv4Addr], via: Ipv4Addr, lease: [u32; 2]) -> Message {
         let mut list = ParameterList::new();
         list.put(parameters::PROTOCOL_VERSION, &[2, 3]);

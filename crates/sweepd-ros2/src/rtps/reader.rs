@@ -241,7 +241,7 @@ impl Reader {
         self.asked(writer.guid)
     }
 
-    /// What a writer is told of its samples, and where. A reader that is not reliable tells nothing.
+    /// Acknowledgement for a writer, and its place. A reader that is not reliable sends none.
     fn asked(&self, writer: Guid) -> Option<(Ack, Place)> {
         let source = self.sources.get(&writer).filter(|_| self.terms.reliable)?;
         Some((source.received.ack(), source.place))

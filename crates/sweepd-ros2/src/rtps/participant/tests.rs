@@ -75,7 +75,7 @@ fn participant_at(prefix: Prefix, addresses: &[Ipv4Addr]) -> Message {
     participant_of([1, 0x10], prefix, addresses)
 }
 
-/// The same of a vendor.
+/// Announcement of a participant of a vendor, at one of these addresses.
 fn participant_of(vendor: [u8; 2], prefix: Prefix, addresses: &[Ipv4Addr]) -> Message {
     let mut list = ParameterList::new();
     for parameter in [parameters::METATRAFFIC_LOCATOR, parameters::DEFAULT_LOCATOR] {
@@ -88,6 +88,15 @@ fn participant_of(vendor: [u8; 2], prefix: Prefix, addresses: &[Ipv4Addr]) -> Me
     data(prefix, wire::PARTICIPANTS_WRITER, 1, &list.end())
 }
 
+/// "I have the samples from the first to the last."
+fn has(first: u64, last: u64) -> Heartbeat {
+    Heartbeat {
+        first,
+        last,
+        count: 1,
+    }
+}
+
 /// "I miss these. What is there?"
 fn asking_for(missing: NumberSet) -> Ack {
     Ack {
@@ -96,7 +105,7 @@ fn asking_for(missing: NumberSet) -> Ack {
     }
 }
 
-/// What is said to a participant of its writers.
+/// Acknowledgements for a participant, by its writers.
 fn acks(out: &Outbox, to: Prefix) -> BTreeMap<EntityId, Ack> {
     let messages = out.messages.iter();
     let said = messages.filter_map(|(_, message)| wire::read(message.bytes(), to));
@@ -160,11 +169,7 @@ fn sample_in_fragments(prefix: Prefix, number: u64) -> Message {
         message.fragment(route, None, (fragment, of), part.len());
         message.payload(part);
     }
-    let told = Heartbeat {
-        first: 1,
-        last: number,
-        count: 1,
-    };
+    let told = has(1, number);
     message.heartbeat(wire::ANY_READER, WRITER, told);
     message
 }
@@ -206,11 +211,7 @@ fn sensible(writer: Guid) -> Vec<Vec<u8>> {
     }
     let mut others = Message::new(prefix);
     others.destination(writer.prefix);
-    let heartbeat = Heartbeat {
-        first: 1,
-        last: 300,
-        count: 1,
-    };
+    let heartbeat = has(1, 300);
     others.heartbeat(
         wire::SUBSCRIPTIONS_READER,
         wire::SUBSCRIPTIONS_WRITER,
@@ -371,11 +372,7 @@ fn samples_are_taken_of_writers_that_acknowledge_something() {
     }
     // A heartbeat for one of them is none for the other.
     let mut told = Message::new(prefix);
-    let two = Heartbeat {
-        first: 1,
-        last: 2,
-        count: 2,
-    };
+    let two = has(1, 2);
     told.heartbeat(best_effort.guid.entity, WRITER, two);
     assert!(take(&participant, told.bytes()).messages.is_empty());
     told.heartbeat(reliable.guid.entity, WRITER, two);
@@ -531,7 +528,7 @@ fn others_are_not_heard_where_they_must_not_be() {
     );
 }
 
-/// Where a sample goes when it is written.
+/// Places that a sample goes to when it is written.
 fn written_to(participant: &Participant, writer: &WriterHandle) -> Vec<SocketAddrV4> {
     sent_to(participant, writer, Body::Same(vec![0; 200_000]))
 }
@@ -575,11 +572,7 @@ fn samples_go_to_no_address_from_which_nothing_was_acknowledged() {
     assert!(written_to(&participant, &writer).is_empty());
     // What it tells of its readers is not acknowledged yet: it would not tell it again.
     let mut heartbeat = Message::new(prefix);
-    let told = Heartbeat {
-        first: 1,
-        last: 1,
-        count: 1,
-    };
+    let told = has(1, 1);
     heartbeat.heartbeat(wire::SUBSCRIPTIONS_READER, wire::SUBSCRIPTIONS_WRITER, told);
     let out = take(&participant, heartbeat.bytes());
     let [(_, asks)] = &out.messages[..] else {
@@ -682,7 +675,7 @@ fn an_answer_goes_to_who_asked_and_others_hear_that_it_never_comes() {
     assert_eq!(wire::read(never.bytes(), other).unwrap().last(), Some(gap));
 }
 
-/// Of Cyclone DDS are its participants, and endpoints that name a client.
+/// Clients of Cyclone DDS are its participants, and endpoints that name a client.
 #[test]
 fn the_form_of_a_request_is_that_of_its_client() {
     let (participant, _writer) = deaf(222);
@@ -728,11 +721,7 @@ fn samples_in_the_name_of_another_are_not_taken() {
     gap.gap(wire::ANY_READER, WRITER, 1, 9);
     receive(&gap, elsewhere);
     let mut heartbeat = Message::new(prefix);
-    let told = Heartbeat {
-        first: 9,
-        last: 9,
-        count: 1,
-    };
+    let told = has(9, 9);
     heartbeat.heartbeat(wire::ANY_READER, WRITER, told);
     let out = receive(&heartbeat, elsewhere);
     assert!(out.messages.is_empty());

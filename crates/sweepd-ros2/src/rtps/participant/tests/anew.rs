@@ -75,11 +75,7 @@ fn one_that_was_forgotten_is_asked_for_all_of_its_endpoints_again() {
     let (participant, writer) = deaf(221);
     let prefix = [7; 12];
     let mut has_readers = Message::new(prefix);
-    let one = Heartbeat {
-        first: 1,
-        last: 1,
-        count: 1,
-    };
+    let one = has(1, 1);
     has_readers.heartbeat(wire::SUBSCRIPTIONS_READER, wire::SUBSCRIPTIONS_WRITER, one);
     let mut all = asking_for(NumberSet::new(2));
     all.is_final = true;
@@ -171,11 +167,7 @@ fn one_that_falls_silent_is_asked_whether_it_is_there_before_its_lease_ends() {
     let mut told = Message::new(prefix);
     for side in Side::BOTH {
         let (reader, writer) = side.builtin();
-        let none = Heartbeat {
-            first: 1,
-            last: 0,
-            count: 1,
-        };
+        let none = has(1, 0);
         told.heartbeat(reader, writer, none);
     }
     // It has told of all, and has all: nothing else is said to it.

@@ -24,7 +24,7 @@ fn only_of_those_that_acknowledge_something_is_it_told_that_they_do_not_match() 
     assert_eq!(told(), 1);
 }
 
-/// What is wrong at a time.
+/// Sentences on what is wrong at a time.
 fn findings(participant: &Participant, now: Instant) -> Vec<String> {
     let state = lock(&participant.shared.state);
     let known = |of| state.discovery.knows(of);
