@@ -29,6 +29,7 @@ mod segments;
 mod sensor;
 mod shell;
 mod to_udp;
+mod version;
 mod watch;
 
 use common::command::*;

@@ -33,7 +33,7 @@
 //! readers got 0 and 1 of 60. Its fragments have 256 bytes, it repairs 8 KiB in 10 ms, and it
 //! announces no type hash. Of two more crates, dust_dds 0.16.0 was not matched by readers of Fast
 //! DDS 2.14 and Cyclone DDS 0.10, for a reason that was not looked for; of hdds 1.1.2 only reliable
-//! readers of Fast DDS got anything, and that decoded wrongly. cyclors 0.4.0 is Cyclone DDS in C,
+//! readers of Fast DDS got anything, and that decoded wrongly. cyclors 0.4 is Cyclone DDS in C,
 //! and needs cmake and libclang; it was not built.
 //!
 //! This writer as part of `sweepd-ros2`, under a load average of 15 to 18: 24 of 24 clouds of 3.3 MB
