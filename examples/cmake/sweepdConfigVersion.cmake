@@ -1,4 +1,4 @@
-set(PACKAGE_VERSION "0.3.0")
+set(PACKAGE_VERSION "0.4.0")
 # Before 1.0, a minor version may change the layout.
 if(PACKAGE_FIND_VERSION VERSION_EQUAL PACKAGE_VERSION)
     set(PACKAGE_VERSION_EXACT TRUE)

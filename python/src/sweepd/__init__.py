@@ -23,7 +23,7 @@ from ._replay import replay
 from ._sweep import Obstacle, Sweep
 from .layout import LayoutError, SweepdError
 
-__version__ = "0.3.0"
+__version__ = "0.4.0.dev0"
 __all__ = [
     "ROS", "Client", "LayoutError", "Objects", "ObjectsMessage", "Obstacle", "Sweep", "SweepdError", "layout", "replay",
     "sensors",
