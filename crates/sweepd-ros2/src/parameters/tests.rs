@@ -146,6 +146,8 @@ fn sections_mean_nodes_as_in_ros() {
     ] {
         assert_eq!(names(section, "/robot/sweepd"), is_meant, "{section}");
     }
+    let long = "/**".repeat(100_000);
+    assert!(names(&long, "/robot/sweepd") && !names(&format!("{long}/x"), "/robot/sweepd"));
     let nested = "/robot:\n  sweepd:\n    ros__parameters: {stamp: last}\n  camera:\n    ros__parameters: {rate: 3}\n";
     assert_eq!(parse(nested).unwrap().of("roof").stamp, Stamp::Last);
 }

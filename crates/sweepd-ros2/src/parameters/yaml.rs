@@ -226,8 +226,10 @@ pub(super) fn names(section: &str, node: &str) -> bool {
         }
     }
     let tokens = |name| str::split(name, '/').filter(|token: &&str| !token.is_empty());
-    let (section, node): (Vec<&str>, Vec<&str>) =
+    let (mut section, node): (Vec<&str>, Vec<&str>) =
         (tokens(section).collect(), tokens(node).collect());
+    // Many mean what one means, and would be many calls within each other.
+    section.dedup_by(|one, before| *one == "**" && *before == "**");
     fit(&section, &node)
 }
 
