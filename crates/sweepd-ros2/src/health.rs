@@ -25,6 +25,11 @@ const ANSWER_BYTES: usize = 1 << 20;
 /// Numbers of `/health` that are no counters, and what its words tell.
 const UNTOLD: [&str; 3] = ["port", "position_port", "losses"];
 
+/// Values of a status at which no more numbers of the daemon are added, and longest name of one in bytes:
+/// anyone may answer in its place.
+const MOST_VALUES: usize = 500;
+const LONGEST_NAME: usize = 100;
+
 /// Subscribers of a topic that are named for what they lost, those that lost most, and others with whom
 /// something is wrong.
 const MOST_NAMED: usize = 10;
@@ -174,6 +179,7 @@ impl Values {
             let key = format!("{before}{name}");
             match value {
                 _ if UNTOLD.contains(&&name[..]) => {}
+                _ if key.len() > LONGEST_NAME || self.0.len() >= MOST_VALUES => {}
                 Value::Number(number) => self.add(key, number),
                 by_reason => self.add_numbers(&format!("{key} "), by_reason),
             }
@@ -417,6 +423,20 @@ mod tests {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let silent = ask(listener.local_addr().unwrap()).unwrap_err();
         assert!(silent.starts_with("no answer from 127.0.0.1:"), "{silent}");
+    }
+
+    #[test]
+    fn numbers_of_anyone_take_no_more_room_than_those_of_a_daemon() {
+        let numbers: Vec<String> = (0..1000).map(|number| format!("\"{number}\":1")).collect();
+        let numbers = numbers.join(",");
+        for (text, added) in [
+            (format!("{{{numbers}}}"), MOST_VALUES),
+            (format!("{{\"{}\": {{{numbers}}}}}", "a".repeat(8192)), 0),
+        ] {
+            let mut values = Values::default();
+            values.add_numbers("", &serde_json::from_str(&text).unwrap());
+            assert_eq!(values.0.len(), added);
+        }
     }
 
     #[test]
