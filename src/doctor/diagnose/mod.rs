@@ -222,7 +222,10 @@ fn counts<T>(report: &Value, rows: &[Counter<T>], told: &[&str], findings: &mut 
     let mut counts = Vec::new();
     for row in rows.iter().filter(|row| !told.contains(&row.name)) {
         let count = match &report[row.name] {
-            Value::Object(reasons) => reasons.values().filter_map(Value::as_u64).sum(),
+            Value::Object(reasons) => {
+                let counts = reasons.values().filter_map(Value::as_u64);
+                counts.fold(0, u64::saturating_add)
+            }
             count => count.as_u64().unwrap_or(0),
         };
         if count > 0 {

@@ -539,6 +539,7 @@ fn a_port_that_is_taken_is_asked_of_its_daemon() {
         json!(null),
         json!([1]),
         json!({"reasons": 3, "ports": {"a": 1}, "sensors": [null, 5, {}]}),
+        json!({"sensors": [{"undecoded": {"a": u64::MAX, "b": 1}}]}),
     ] {
         seen.daemon = Some(Ok(odd));
         diagnose(&seen);
