@@ -194,6 +194,31 @@ fuzz! {
     labels: 500 rounds, 8 MiB;
     pipeline: 120 rounds, 128 MiB;
     sweep: 2000 rounds, 8 MiB;
+    cdr: 2000 rounds, 8 MiB;
+    control: 2000 rounds, 8 MiB;
+    health: 2000 rounds, 8 MiB;
+}
+
+#[test]
+fn seeds_of_peers_are_understood() {
+    use sweepd::daemon::record::protocol::{Reply, Request, SettingsRequest};
+    use sweepd::messages::odometry::Located;
+    use sweepd::messages::rcl;
+    let [names, list, set, odometry, transform] = seeds::of("cdr", None).try_into().unwrap();
+    for (service, seed) in [(0, list), (1, names), (4, set)] {
+        rcl::Request::read(service, &seed).unwrap();
+    }
+    assert_eq!(Located::of_odometry(&odometry).unwrap().position_m[1], -2.0);
+    let found = Located::of_transforms(&transform, "base_link").unwrap();
+    assert_eq!(found.unwrap().rotation, [0.0, 0.0, 0.0, 1.0]);
+    let [record, settings, replies @ ..] = &seeds::of("control", None)[..] else {
+        panic!("no seeds");
+    };
+    Request::parse(record).unwrap();
+    serde_json::from_slice::<SettingsRequest>(settings).unwrap();
+    for reply in replies {
+        serde_json::from_slice::<Reply>(reply).unwrap();
+    }
 }
 
 /// Not a test: writes the seeds of each target to the folder `SWEEPD_FUZZ_CORPUS`, for the

@@ -50,7 +50,7 @@ TOKEN = re.compile(
     re.S | re.X,
 )
 # With the documentation above.
-TEST = re.compile(r"""(?:^[ ]*///[^\n]*\n)*[ ]*(?P<attribute>#\[cfg\((?:test|feature = "testkit")\)\])""", re.M)
+TEST = re.compile(r"""(?:^[ ]*///[^\n]*\n)*[ ]*(?P<attribute>#\[cfg\((?:test|any\(test, fuzzing\)|feature = "testkit")\)\])""", re.M)
 ITEM = re.compile(
     r"""(?:\s*\#\[[^\]]*\])*\s*(?:pub(?:\([^)]*\))?\s+)?(?:(?:const|unsafe|async|extern)\s+(?:"+\s+)?)*
     (?:(?P<kind>fn|use|impl|struct|enum|union|const|static|trait|type)\b|mod\s+(?P<module>\w+))""",

@@ -23,6 +23,16 @@ pub fn of(name: &str) -> Vec<Vec<u8>> {
             png(1, u32::MAX >> 1),
         ],
         "labels" => labels(),
+        "control" => vec![nested("[", "1", "]", 64 << 10)],
+        "health" => vec![
+            nested("{\"sensors\":[", "1", "]}", 1 << 20),
+            // Counts that no sum can hold.
+            format!(
+                "{{\"sensors\": [{{\"undecoded\": {{\"a\": {0}, \"b\": {0}}}}}]}}",
+                u64::MAX
+            )
+            .into_bytes(),
+        ],
         _ => Vec::new(),
     }
 }

@@ -50,6 +50,9 @@ pub fn of(name: &str, data: Option<&Path>) -> Inputs {
         "labels" => labels(),
         "pipeline" => pipelines(),
         "sweep" => sweeps(),
+        "cdr" => messages(),
+        "control" => CONTROL.map(|line| line.as_bytes().to_vec()).to_vec(),
+        "health" => vec![HEALTH.as_bytes().to_vec()],
         _ => panic!("no seeds for {name}"),
     }
 }
@@ -718,3 +721,45 @@ fn sweeps() -> Inputs {
     }
     seeds
 }
+
+/// Requests for parameters, odometry and a transform, little-endian.
+fn messages() -> Inputs {
+    let text = |text: &str| {
+        let len = text.len() as u32 + 1;
+        let padding = (len as usize).next_multiple_of(4) - text.len();
+        [&len.to_le_bytes()[..], text.as_bytes(), &[0; 4][..padding]].concat()
+    };
+    let head = |count: u32| [&[0, 1, 0, 0][..], &count.to_le_bytes()].concat();
+    let names = [head(2), text("clock"), text("roof.stamp")].concat();
+    let list = [&names[..], &7_u64.to_le_bytes()].concat();
+    let value = [&[4, 0][..], &[0; 2 + 16], &text("last"), &[0; 5 * 4]].concat();
+    let set = [head(1), text("roof.stamp"), value].concat();
+    let pose = [1.0, -2.0, 0.5, 0.0, 0.0, 0.0, 1.0].map(f64::to_le_bytes);
+    let located = [
+        &7_i32.to_le_bytes()[..],
+        &9_u32.to_le_bytes(),
+        &text("odom"),
+        &text("base_link"),
+    ]
+    .concat();
+    let odometry = [&[0, 1, 0, 0][..], &located, &[0; 4], pose.as_flattened()].concat();
+    let transform = [&head(1)[..], &located, pose.as_flattened()].concat();
+    vec![names, list, set, odometry, transform]
+}
+
+const CONTROL: [&str; 5] = [
+    r#"{"version": 3, "sensor": "roof", "senders": ["192.168.1.201"], "path": "/tmp/a.pcap", "replaces": false,
+        "rotation": {"bytes": 100000000, "ns": null}, "duration": {"secs": 60, "nanos": 0}}"#,
+    r#"{"version": 3, "settings_of": "roof"}"#,
+    r#"{"Settings": {"method": "slope", "settings": {"height_m": 1.7, "max_range_m": null}, "masked": false}}"#,
+    r#"{"Progress": {"received": 9, "dropped": 0, "unwritten": 1, "written": 8, "bytes": 9999}}"#,
+    r#"{"Refused": "no sensor is called so"}"#,
+];
+
+const HEALTH: &str = r#"{"status": "warning", "version": "0.4.0", "root": "/run/sweepd", "reasons": ["roof: losing: 3 %"],
+    "findings": [{"severity": "warning", "topic": "loss", "what": "roof: 3 % of the packets are lost", "cure": "look at\nthe switch",
+        "sensor": "roof", "asks": true}],
+    "sensors": [{"name": "roof", "state": "streaming", "model": "vlp16", "is_fault": false, "reason": "3 %", "rpm": 600.1,
+        "packets": 3770, "lost": 3, "late": 2, "refused": {"too_short": 1, "other": 2}, "losses": {"percent": 0.3, "what": "few", "cure": ""},
+        "dark_beams": [{"row": 3, "channel": 7, "turns": 20}]}],
+    "ports": [{"name": "port 2368", "port": 2368, "received": 3770, "dropped": 5}]}"#;

@@ -275,7 +275,7 @@ class Repository(unittest.TestCase):
         )
         self.write("src/tests.rs", "fn c() {}\n")
         self.write("src/testkit/mod.rs", "mod tests;\n")
-        self.write("src/i/mod.rs", "#[cfg(test)]\nmod j;\n")
+        self.write("src/i/mod.rs", "#[cfg(any(test, fuzzing))]\nmod j;\n")
         self.write("src/i/j.rs", "fn k() {}\n")
         self.write("src/testkit/d.rs", "fn e() {}\n")
         self.write("src/a.rs", "#[cfg(test)]\nmod f;\nmod tests;\n// why\n")

@@ -370,6 +370,30 @@ fn get(at: SocketAddr) -> io::Result<String> {
     String::from_utf8(answer).map_err(|_| io::ErrorKind::InvalidData.into())
 }
 
+/// What anyone says at `/health`. What is made of it is not much longer.
+#[cfg(any(test, fuzzing))]
+pub fn fuzz(input: &[u8]) {
+    let said = serde_json::from_slice(input).map_err(|error| error.to_string());
+    let said = of_this(said, Path::new("/run/sweepd"));
+    let mut status = of_daemon(SocketAddr::from(([127, 0, 0, 1], 9177)), &said);
+    let tally = Tally::default();
+    let sensor = sensor(&said, "roof");
+    let (_, words) = judge(&tally, &tally, 0.0, sensor);
+    let mut values = Values(std::mem::take(&mut status.values));
+    values.add("words", words);
+    values.add_numbers("daemon ", sensor.unwrap_or(&Value::Null));
+    status.values = values.0;
+    let mut message = Vec::new();
+    diagnostics::encode(0, &[status], &mut message);
+    let most = 4096 + 200 * input.len();
+    assert!(
+        message.len() <= most,
+        "{} bytes of {}",
+        message.len(),
+        input.len()
+    );
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

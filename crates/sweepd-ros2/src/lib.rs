@@ -23,6 +23,10 @@ pub mod log;
 pub mod node;
 mod rtps;
 
+/// The ways into a participant, for the fuzzer.
+#[cfg(any(test, fuzzing))]
+pub use rtps::participant::fuzz;
+
 pub use environment::{DiscoveryRange, Environment, EnvironmentError, StaticPeer};
 pub use node::{
     Durability, Node, NodeError, Publisher, Quality, Request, Service, Statistics, Subscriber,

@@ -1,9 +1,13 @@
 //! `sweepd-ros2`: the sweeps that a daemon shares, as topics of a ROS 2 node.
 
-#![forbid(unsafe_code)]
+// The fuzzer has a `main` of its own, in C++.
+#![cfg_attr(not(fuzzing), forbid(unsafe_code))]
+#![cfg_attr(fuzzing, no_main, allow(dead_code))]
 
 mod bridge;
 mod clock;
+#[cfg(any(test, fuzzing))]
+mod fuzz;
 mod health;
 mod names;
 mod odometry;
@@ -447,3 +451,6 @@ impl Sensors<'_, '_> {
         Ok(())
     }
 }
+
+#[cfg(fuzzing)]
+libfuzzer_sys::fuzz_target!(init: fuzz::write_seeds(), |input: &[u8]| fuzz::run(input));

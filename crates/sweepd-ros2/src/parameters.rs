@@ -618,5 +618,28 @@ fn fields(value: &Spanned<Tree>) -> Result<Fields, String> {
     Fields::of_names(names.iter().map(String::as_str)).map_err(|error| error.to_string())
 }
 
+/// A parameter file of anyone. A parameter can be set to the value that it has.
+#[cfg(any(test, fuzzing))]
+pub fn fuzz(input: &[u8]) {
+    let Ok(text) = std::str::from_utf8(input) else {
+        return;
+    };
+    let mut parameters = Parameters::default();
+    let node = NodeName::new("/robot", "sweepd");
+    match parameters
+        .parse(text, "fuzz", &node)
+        .and_then(|()| parameters.judge())
+    {
+        Ok(()) => {
+            for name in Parameters::names(["roof"].into_iter()) {
+                let value = parameters.value(&name);
+                let set = parameters.clone().set_running(&name, &value);
+                assert_eq!(set, Ok(()), "{name}: {value:?}");
+            }
+        }
+        Err(error) => assert!(!error.place.is_empty() && !error.what.is_empty()),
+    }
+}
+
 #[cfg(test)]
 mod tests;

@@ -9,6 +9,7 @@
 pub mod captures;
 pub mod clouds;
 pub mod packets;
+pub mod peers;
 pub mod pipeline;
 pub mod recordings;
 pub mod sweep;
@@ -18,7 +19,7 @@ pub mod texts;
 pub type Run = fn(&[u8]);
 
 /// All targets by name.
-pub const ALL: [(&str, Run); 18] = [
+pub const ALL: [(&str, Run); 21] = [
     ("data_packet", packets::data_packet),
     ("position_packet", packets::position_packet),
     ("status_stream", packets::status_stream),
@@ -37,6 +38,9 @@ pub const ALL: [(&str, Run); 18] = [
     ("labels", clouds::labels),
     ("pipeline", pipeline::pipeline),
     ("sweep", sweep::sweep),
+    ("cdr", peers::cdr),
+    ("control", peers::control),
+    ("health", peers::health),
 ];
 
 /// The target of this name.

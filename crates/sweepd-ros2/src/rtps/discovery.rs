@@ -659,7 +659,7 @@ impl Discovery {
     }
 
     /// How many participants, readers and writers there are.
-    #[cfg(test)]
+    #[cfg(any(test, fuzzing))]
     pub fn counts(&self) -> (usize, usize, usize) {
         let counts = Side::BOTH.map(|side| self.endpoints(side).count());
         assert_eq!(counts, self.counts);

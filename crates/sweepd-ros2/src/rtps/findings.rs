@@ -79,7 +79,7 @@ impl Findings {
     }
 
     /// Counts those that are kept.
-    #[cfg(test)]
+    #[cfg(any(test, fuzzing))]
     pub fn len(&self) -> usize {
         self.all.len()
     }

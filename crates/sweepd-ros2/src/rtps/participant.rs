@@ -779,5 +779,7 @@ impl Shared {
 }
 
 mod answers;
+#[cfg(any(test, fuzzing))]
+pub mod fuzz;
 #[cfg(test)]
 mod tests;

@@ -355,37 +355,38 @@ impl Reader {
     }
 }
 
+#[cfg(any(test, fuzzing))]
+impl Reader {
+    /// Fails where there is more than there is room for. Capacities grow by doubling.
+    pub fn check_bounds(&self) {
+        assert!(self.sources.len() <= MAX_WRITERS);
+        let room = ROOM * self.largest_bytes;
+        assert!(self.waiting_bytes() <= room);
+        for source in self.sources.values() {
+            let waiting = source.waiting.values();
+            let (bytes, capacity) = waiting.fold((0, 0), |(bytes, capacity), one| {
+                (bytes + one.bytes.len(), capacity + one.bytes.capacity())
+            });
+            assert_eq!(bytes, source.bytes);
+            assert!(capacity <= 2 * bytes + 8 * source.waiting.len());
+            assert!(source.waiting.len() <= self.terms.depth);
+            assert!((source.received.ahead() as u64) < WINDOW);
+        }
+        let queue = lock(&self.inbox.queue);
+        let bytes = queue.samples.iter().map(|sample| sample.payload.len());
+        assert_eq!(bytes.sum::<usize>(), queue.bytes);
+        assert!(queue.samples.len() <= self.terms.depth && queue.bytes <= room);
+    }
+}
+
 #[cfg(test)]
-pub mod tests {
+mod tests {
     use super::*;
     use crate::rtps::discovery::Side;
     use crate::rtps::wire::ANY_READER;
     use std::net::{Ipv4Addr, SocketAddrV4};
 
     const LARGEST: usize = 1000;
-
-    impl Reader {
-        /// Fails where there is more than there is room for. Capacities grow by doubling.
-        pub fn check_bounds(&self) {
-            assert!(self.sources.len() <= MAX_WRITERS);
-            let room = ROOM * self.largest_bytes;
-            assert!(self.waiting_bytes() <= room);
-            for source in self.sources.values() {
-                let waiting = source.waiting.values();
-                let (bytes, capacity) = waiting.fold((0, 0), |(bytes, capacity), one| {
-                    (bytes + one.bytes.len(), capacity + one.bytes.capacity())
-                });
-                assert_eq!(bytes, source.bytes);
-                assert!(capacity <= 2 * bytes + 8 * source.waiting.len());
-                assert!(source.waiting.len() <= self.terms.depth);
-                assert!((source.received.ahead() as u64) < WINDOW);
-            }
-            let queue = lock(&self.inbox.queue);
-            let bytes = queue.samples.iter().map(|sample| sample.payload.len());
-            assert_eq!(bytes.sum::<usize>(), queue.bytes);
-            assert!(queue.samples.len() <= self.terms.depth && queue.bytes <= room);
-        }
-    }
 
     fn writer(id: u8) -> Guid {
         Guid::new([id; 12], [0, 0, 1, 3])

@@ -131,7 +131,7 @@ impl Received {
     }
 
     /// How many are kept in mind.
-    #[cfg(test)]
+    #[cfg(any(test, fuzzing))]
     pub fn ahead(&self) -> usize {
         self.ahead.len()
     }

@@ -13,6 +13,8 @@
 mod channels;
 mod command;
 mod foxglove;
+#[cfg(any(test, fuzzing))]
+pub mod fuzz;
 mod http;
 mod page;
 mod socket;
