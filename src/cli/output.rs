@@ -52,7 +52,7 @@ pub struct OutputOptions {
     #[arg(long, value_name = "FILE")]
     pub raw: Option<PathBuf>,
     /// Frame of all lengths in --csv, --pcd, --png, --segments and --objects
-    #[arg(long, alias = "axes", value_name = "FRAME", default_value = "sensor", value_parser = frames())]
+    #[arg(long, value_name = "FRAME", default_value = "sensor", value_parser = frames())]
     pub frame: Frame,
     /// Leave out the times that each stage took, so that two runs print the same
     #[arg(long)]

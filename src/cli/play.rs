@@ -19,7 +19,7 @@ const NOTHING_LEFT: &str = "--end is not after --start: nothing would be left";
 pub struct PlayOptions {
     /// Leave out what comes before this: seconds from the start of the capture, seconds since 1970,
     /// or a time such as 2026-05-04T10:16:40Z; the last two by the times of the records
-    #[arg(long, alias = "from", value_name = "TIME", value_parser = moment, allow_negative_numbers = true)]
+    #[arg(long, value_name = "TIME", value_parser = moment, allow_negative_numbers = true)]
     start: Option<Moment>,
     /// Stop at this, given as for --start
     #[arg(long, value_name = "TIME", value_parser = moment, allow_negative_numbers = true)]
@@ -36,8 +36,8 @@ pub struct PlayOptions {
     #[arg(long)]
     pub partial: bool,
     /// Send the capture's own datagrams there with their own timing, each sensor from its own port
-    #[arg(long, alias = "to-udp", value_name = "ADDR:PORT", value_parser = to, allow_negative_numbers = true)]
-    to: Vec<To>,
+    #[arg(long, value_name = "ADDR:PORT", value_parser = destination)]
+    pub to: Option<SocketAddr>,
 }
 
 /// A time of a capture.
@@ -90,23 +90,6 @@ impl From<&Placed<'_>> for CaptureTime {
             start_ns: placed.datagram.arrival_ns.saturating_sub(since_start_ns),
             since_start_ns,
         }
-    }
-}
-
-/// Values of `--to`.
-#[derive(Clone, Copy, Debug)]
-enum To {
-    /// Where datagrams are sent.
-    Address(SocketAddr),
-    /// The older spelling of `--end`.
-    End(Moment),
-}
-
-/// A value of `--to`: a number is the older spelling of `--end`.
-fn to(text: &str) -> Result<To, String> {
-    match text.parse::<f64>() {
-        Ok(_) => moment(text).map(To::End),
-        Err(_) => destination(text).map(To::Address),
     }
 }
 
@@ -178,7 +161,7 @@ impl PlayOptions {
     /// # Errors
     /// [`CliError::Usage`].
     pub fn check(&self, capture: &Path) -> Result<(), CliError> {
-        let message = match (self.start, self.end()) {
+        let message = match (self.start, self.end) {
             _ if self.times.is_some() && capture.as_os_str() == "-" => {
                 "standard input cannot be played again: --loop needs a file"
             }
@@ -192,28 +175,11 @@ impl PlayOptions {
         Err(CliError::Usage(message.to_owned()))
     }
 
-    /// Destination of datagrams, if they are sent.
-    pub fn destination(&self) -> Option<SocketAddr> {
-        self.to.iter().rev().find_map(|to| match to {
-            To::Address(address) => Some(*address),
-            To::End(_) => None,
-        })
-    }
-
-    /// When it stops.
-    fn end(&self) -> Option<Moment> {
-        let older = self.to.iter().rev().find_map(|to| match to {
-            To::End(end) => Some(*end),
-            To::Address(_) => None,
-        });
-        self.end.or(older)
-    }
-
     /// The speed: by default the original, if others receive the replay.
     pub fn speed(&self, is_published: bool) -> Speed {
         match self.speed {
             Some(speed) => speed,
-            None if self.destination().is_some() || is_published => Speed::REALTIME,
+            None if self.to.is_some() || is_published => Speed::REALTIME,
             None => Speed::Max,
         }
     }
@@ -231,7 +197,7 @@ impl PlayOptions {
     pub fn when(&self, time: CaptureTime) -> When {
         if self.start.is_some_and(|start| start.is_after(time)) {
             When::Before
-        } else if self.end().is_some_and(|end| !end.is_after(time)) {
+        } else if self.end.is_some_and(|end| !end.is_after(time)) {
             When::After
         } else {
             When::Within
@@ -244,7 +210,7 @@ impl PlayOptions {
         if let Some(start) = self.start {
             part += &format!(" from {start}");
         }
-        if let Some(end) = self.end() {
+        if let Some(end) = self.end {
             part += &format!(" to {end}");
         }
         part

@@ -190,8 +190,6 @@ impl View {
             "ports": ports,
             "recording": self.recordings.configured,
             "on_demand_recordings": self.recordings.on_demand,
-            // Its name in version 0.2.
-            "asked_recordings": self.recordings.on_demand,
         });
         (is_well, report)
     }

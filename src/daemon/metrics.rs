@@ -119,18 +119,14 @@ impl Snapshot {
             let has_failed = u8::from(one.trouble.is_some());
             single(to, "recording_failed", help, Now(has_failed.into()))?;
         }
-        // The second name is that of version 0.2.
-        for name in ["on_demand", "asked"] {
-            let help = "Recordings under way for sweepd record --from";
-            let running = Now(on_demand.len() as f64);
-            single(to, &format!("{name}_recordings"), help, running)?;
-            let help = "Datagrams written for sweepd record --from";
-            let written = Total(*on_demand_datagrams);
-            single(to, &format!("{name}_recorded"), help, written)?;
-            let refused = Total(*on_demand_refused);
-            single(to, &format!("{name}_unrecorded"), unwritten, refused)?;
-        }
-        Ok(())
+        let help = "Recordings under way for sweepd record --from";
+        let running = Now(on_demand.len() as f64);
+        single(to, "on_demand_recordings", help, running)?;
+        let help = "Datagrams written for sweepd record --from";
+        let written = Total(*on_demand_datagrams);
+        single(to, "on_demand_recorded", help, written)?;
+        let refused = Total(*on_demand_refused);
+        single(to, "on_demand_unrecorded", unwritten, refused)
     }
 
     /// A gauge of the sensors that have it.

@@ -315,52 +315,6 @@ fn standard_error_stays_empty_without_a_terminal() {
     assert_eq!(inspect(&fixture("street_hdl32e.pcap.gz")).stderr, "");
 }
 
-/// What is spelled otherwise now goes on working, and is not advertised.
-#[test]
-fn older_spellings_are_understood() {
-    let capture = fixture("street_vlp16_losses.pcap");
-    let of = |part: &[&str]| {
-        replay(
-            &capture,
-            &[&["--json", "--no-timing", "--partial"], part].concat(),
-        )
-        .done()
-    };
-    let nowhere = "127.0.0.1:9";
-    let new = of(&["--start", "0.1", "--end", "0.3"]);
-    assert_eq!(of(&["--from", "0.1", "--to", "0.3"]), new);
-    assert_eq!(
-        of(&[
-            "--from", "0.1", "--to", "0.3", "--to-udp", nowhere, "--speed", "max"
-        ]),
-        new
-    );
-    assert_ne!(of(&["--to", nowhere, "--speed", "max"]), new);
-    let dual = |option: &str| {
-        let args = [
-            "simulate",
-            "--model=vlp16",
-            "--scene=room",
-            "--seconds=0.1",
-            "--pcap",
-            "-",
-            option,
-        ];
-        command(&args).output().unwrap().stdout
-    };
-    assert_eq!(dual("--return=dual"), dual("--returns=dual"));
-    for (command, older) in [
-        ("replay", "--from"),
-        ("replay", "--to-udp"),
-        ("simulate", "--return "),
-    ] {
-        assert!(
-            !sweepd(&[command, "--help"]).done().contains(older),
-            "{older}"
-        );
-    }
-}
-
 #[test]
 fn a_slip_is_answered_with_what_was_meant() {
     for (args, answer) in [

@@ -488,8 +488,7 @@ fn a_frame_is_the_same_in_every_output() {
     let (robot, said) = run("robot", &["--frame", "robot"]);
     assert_eq!(said, "");
     assert_moved(&sensor, &robot, tilted);
-    // The former name of the option.
-    let (ros, said) = run("ros", &["--axes", "ros"]);
+    let (ros, said) = run("ros", &["--frame", "ros"]);
     assert_eq!(said, "");
     assert_moved(&robot, &ros, |[x, y, z]| [y, -x, z]);
 }

@@ -96,7 +96,7 @@ fn a_pcd_has_the_time_of_each_point() {
         let to = dir.to_str().unwrap();
         let ran = replay(
             &fixture(name),
-            &["--partial", "--csv", to, "--pcd", to, "--axes", "ros"],
+            &["--partial", "--csv", to, "--pcd", to, "--frame", "ros"],
         );
         assert_eq!(ran.code, 0, "{}", ran.stderr);
         let [rows, pcd] =
@@ -187,7 +187,7 @@ fn segments_are_what_their_points_are() {
     for axes in ["sensor", "ros"] {
         let [dir, table] = [folder.path(axes), folder.path(&format!("{axes}.csv"))];
         let options = [
-            "--axes",
+            "--frame",
             axes,
             "--csv",
             dir.to_str().unwrap(),

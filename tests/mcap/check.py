@@ -1,4 +1,4 @@
-"""Reads what `sweepd replay --partial --axes ros --csv DIR --segments SEGMENTS --mcap FILE` wrote.
+"""Reads what `sweepd replay --partial --frame ros --csv DIR --segments SEGMENTS --mcap FILE` wrote.
 
 usage: check.py FILE DIR SEGMENTS ROWS
 

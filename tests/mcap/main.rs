@@ -52,7 +52,7 @@ fn compare(name: &str, capture: &Path, rows: &str) {
     let folder = folder(name);
     let path = |name: &str| folder.join(name).into_os_string();
     let (file, csv, segments) = (path("sweeps.mcap"), path("csv"), path("segments.csv"));
-    let mut command = sweepd(&["replay", "--partial", "--axes", "ros"]);
+    let mut command = sweepd(&["replay", "--partial", "--frame", "ros"]);
     command.arg(capture).arg("--mcap").arg(&file);
     command
         .arg("--csv")

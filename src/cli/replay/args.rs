@@ -77,7 +77,7 @@ impl Args {
         places.extend(pcap.map(|path| path.display().to_string()));
         let names = self.publish.publish.iter();
         places.extend(names.map(|name| format!("consumers of {name}")));
-        places.extend(self.play.destination().map(|to| to.to_string()));
+        places.extend(self.play.to.map(|to| to.to_string()));
         places
     }
 

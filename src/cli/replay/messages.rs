@@ -60,7 +60,7 @@ pub(super) fn show_missing(
 
 /// Whether sweeps are wanted, rather than packets.
 fn wants_sweeps(args: &Args) -> bool {
-    let wants_packets = args.play.destination().is_some() || args.pcap.is_some();
+    let wants_packets = args.play.to.is_some() || args.pcap.is_some();
     !wants_packets || args.objects || args.publish.is_wanted() || args.output.is_any()
 }
 

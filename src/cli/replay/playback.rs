@@ -74,7 +74,7 @@ impl<'a> Playback<'a> {
                 },
                 job: Arc::default(),
             },
-            sender: args.play.destination().map(Sender::new),
+            sender: args.play.to.map(Sender::new),
             piece: Piece::create(args)?,
             others_before: 0,
             begun: None,

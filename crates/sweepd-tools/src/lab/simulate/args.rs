@@ -78,7 +78,7 @@ pub struct Args {
     )]
     pub(super) rpm: Option<f64>,
     /// One return a shot, the strongest, or two; an hdl64e-s2 has one
-    #[arg(long, alias = "return", value_name = "WHICH", value_enum, default_value_t = Returns::Single)]
+    #[arg(long, value_name = "WHICH", value_enum, default_value_t = Returns::Single)]
     pub(super) returns: Returns,
     /// Simulate this unit: db.xml or ROS YAML [default: the model's own table; of an HDL-64E, an
     /// invented unit, which depends on --seed]
