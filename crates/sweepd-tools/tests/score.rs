@@ -495,12 +495,13 @@ fn what_cannot_be_scored_is_named_with_its_cure() {
         &["0 columns, expected 1 to"],
     );
     folder.refuses(
-        &["--methods", "--plot", "nowhere/precision.png"],
-        &["nowhere/precision.png"],
+        &["--methods", "--plot", "nowhere/precision.csv"],
+        &["nowhere/precision.csv"],
     );
     for wrong in [
         &[][..],
-        &["--pred", "pred", "--plot", "precision.png"],
+        &["--pred", "pred", "--plot", "precision.csv"],
+        &["--methods", "--plot", "precision.png"],
         &["--pred", "pred", "--methods"],
         &["--pred", "pred", "--theta", "5"],
         &["--methods", "--per-scan"],
@@ -567,12 +568,24 @@ fn methods_are_compared_over_their_parameters() {
         "--cell",
         "0.5,9",
     ];
-    let report = folder.json(&[&options[..], &["--plot", "precision.png"]].concat());
-    let plot = std::fs::read(folder.path("precision.png")).unwrap();
-    assert!(plot.starts_with(b"\x89PNG"));
-    let again = [&options[..], &["--plot", "precision.png"]].concat();
-    folder.refuses(&again, &["precision.png exists; --force replaces it"]);
-    assert!(std::fs::read(folder.path("precision.png")).unwrap() == plot);
+    let plotted = [&options[..], &["--plot", "precision.csv"]].concat();
+    let report = folder.json(&plotted);
+    // Seven cylinders in each of two scans.
+    let plot = "\
+method,parameter,unit,value,min_points,instances,precision
+slope,theta,degrees,10,20,14,1
+slope,theta,degrees,89,20,14,1
+paper,theta,degrees,10,20,14,1
+paper,theta,degrees,89,20,14,0
+euclidean,distance,m,0.5,20,14,1
+euclidean,distance,m,9,20,14,0
+grid,cell,m,0.5,20,14,1
+grid,cell,m,9,20,14,0
+";
+    let read = || std::fs::read_to_string(folder.path("precision.csv")).unwrap();
+    assert_eq!(read(), plot);
+    folder.refuses(&plotted, &["precision.csv exists; --force replaces it"]);
+    assert_eq!(read(), plot);
     assert_eq!(
         (&report["scans"], &report["sequences"]),
         (&Value::from(2), &Value::from(2))

@@ -28,7 +28,8 @@ pub const NUMBER: TextStyle = MonoTextStyle::new(&fonts::FONT_9X18_BOLD, TEXT);
 /// An image in memory; drawing outside of it is clipped.
 pub struct Canvas {
     size: Size,
-    bytes: Vec<u8>,
+    /// Pixels, row after row, three bytes each.
+    pub(super) bytes: Vec<u8>,
 }
 
 impl Canvas {
@@ -40,11 +41,6 @@ impl Canvas {
         };
         canvas.rect(Rectangle::new(Point::zero(), size), color);
         canvas
-    }
-
-    /// The pixels, row after row, three bytes each.
-    pub fn bytes(&self) -> &[u8] {
-        &self.bytes
     }
 
     /// Writes the image as PNG.

@@ -6,7 +6,7 @@
 //! `numbers` names segments, `palette` gives a colour one meaning on the whole page, `canvas` holds
 //! the pixels.
 
-pub mod canvas;
+mod canvas;
 mod legend;
 mod numbers;
 pub mod palette;

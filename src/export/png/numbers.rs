@@ -102,7 +102,7 @@ mod tests {
     /// Pixels of this colour, and of another one than black outside of an area.
     fn pixels(page: &Canvas, area: &Rectangle, color: Rgb888) -> (usize, usize) {
         let everywhere = page.bounding_box();
-        let colored = everywhere.points().zip(page.bytes().chunks_exact(3));
+        let colored = everywhere.points().zip(page.bytes.chunks_exact(3));
         let colored = colored.map(|(at, rgb)| (at, Rgb888::new(rgb[0], rgb[1], rgb[2])));
         let (inside, outside): (Vec<_>, Vec<_>) = colored.partition(|(at, _)| area.contains(*at));
         let count = |points: Vec<(Point, Rgb888)>, is: &dyn Fn(Rgb888) -> bool| {

@@ -1,6 +1,5 @@
 //! `sweepd score`: how good labels are.
 
-mod chart;
 mod methods;
 mod plot;
 mod scans;
@@ -34,7 +33,7 @@ Examples:
   sweepd score --scans scans --pred labels --only 00/000000
   sweepd score --scans scans --pred labels --per-scan --json
   sweepd score --scans scans --methods --theta 5,10,20 --cell 0.2
-  sweepd score --scans scans --methods --plot precision.png")]
+  sweepd score --scans scans --methods --plot precision.csv")]
 pub struct Args {
     /// Folder with scans, searched with the folders in it
     #[arg(long, value_name = "DIR")]
@@ -117,10 +116,11 @@ struct Methods {
     /// Columns of the range image of our methods: firings of a turn
     #[arg(long, value_name = "N", default_value_t = cloud::COLUMNS, conflicts_with = "pred")]
     columns: usize,
-    /// Draw the precision over the parameters too, into this file
+    /// Write the precision over the parameters too, to draw it
     #[arg(
         long,
-        value_name = "FILE.png",
+        value_name = "FILE.csv",
+        value_parser = plot::csv_file,
         requires = "methods",
         conflicts_with = "pred"
     )]
