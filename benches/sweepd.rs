@@ -8,7 +8,7 @@
 //! hand (see CONTRIBUTING.md).
 
 use std::path::{Path, PathBuf};
-use sweepd_lab::testkit::stream::next_sweep;
+use sweepd_testkit::stream::next_sweep;
 
 use divan::counter::ItemsCount;
 use divan::{Bencher, black_box};

@@ -8,27 +8,18 @@
 //! All kinds of scenes, five seeds each, three whole sweeps of each; by the default method and by
 //! the paper's. Below them: how much the default's segments change from one sweep to the next.
 
-#[path = "../tests/common/objects.rs"]
-#[allow(dead_code)]
-mod objects;
-#[path = "../tests/common/run.rs"]
-#[allow(dead_code)]
-mod run;
-#[path = "../tests/common/simulated.rs"]
-#[allow(dead_code)]
-mod simulated;
 #[allow(dead_code)]
 mod tables;
 
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
-use run::Placed;
-use simulated::Simulated;
 use sweepd::segment::{Config, Method};
 use sweepd::sensor::Model;
 use sweepd::sweep::layout::{LABEL_FIRST_SEGMENT, flags};
 use sweepd_lab::simulate::{Class, ReturnTruth, Setting};
+use sweepd_testkit::run::Placed;
+use sweepd_testkit::simulated::Simulated;
 use tables::{DECIMALS, HEADING, INSTANCE_POINTS, Scored, figures, instances};
 
 const MODELS: [Model; 5] = [

@@ -6,7 +6,6 @@
 //! package `numpy`. Where they are missing the tests are ignored;
 //! under `CI=true` they fail.
 
-mod common;
 #[path = "consumers/events.rs"]
 mod events;
 #[path = "consumers/fields.rs"]
@@ -39,7 +38,7 @@ mod sweeps;
 #[path = "consumers/wall.rs"]
 mod wall;
 
-use sweepd_lab::testkit::stream;
+use sweepd_testkit::stream;
 
 use std::path::PathBuf;
 

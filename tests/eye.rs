@@ -1,11 +1,8 @@
 //! A simulated sensor whose eye fails is told by the bits of the header; one that sees is not. A table shows
 //! how near captures and scenes come to each limit.
 
-mod common;
-
 use std::path::PathBuf;
 
-use common::{data_dir_if_any, root};
 use sweepd::admission::DiscoveredSensors;
 use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::input::Capture;
@@ -16,7 +13,8 @@ use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::flags;
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::{Emitter, EmitterConfig, EyeFault, EyeKind, Scene, Setting};
-use sweepd_lab::testkit::stream;
+use sweepd_testkit::stream;
+use sweepd_testkit::{data_dir_if_any, root};
 
 /// Bits of the header, as docs/layout.md has them.
 const BLIND: u32 = 0x100;

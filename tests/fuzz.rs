@@ -5,7 +5,6 @@
 //! `SWEEPD_FUZZ_SEED` and `SWEEPD_FUZZ_ROUNDS` change seed and rounds; `SWEEPD_FUZZ_INPUT` runs the
 //! file of this name and nothing else. An input that fails is written to `target/tmp/fuzz`.
 
-mod common;
 #[path = "fuzz/hostile.rs"]
 mod hostile;
 #[path = "fuzz/memory.rs"]
@@ -21,7 +20,7 @@ use std::time::{Duration, Instant};
 use std::{fs, panic, thread};
 
 use fastrand::Rng;
-use sweepd_lab::testkit::mutate::mutated;
+use sweepd_testkit::mutate::mutated;
 
 /// Longest time for one input: in a debug build, on a machine that does other things too.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -48,7 +47,7 @@ fn fuzz(name: &'static str, rounds: u64, memory_mib: usize) {
         number("SWEEPD_FUZZ_ROUNDS", rounds),
     );
     println!("{name}: seed {seed}, {rounds} rounds");
-    let seeds = seeds::of(name, common::data_dir_if_any().as_deref());
+    let seeds = seeds::of(name, sweepd_testkit::data_dir_if_any().as_deref());
     let first = [found(name), hostile::of(name), seeds.clone()].concat();
     let current = Arc::new(Mutex::new(Current {
         round: 0,
@@ -234,7 +233,10 @@ fn write_seeds() {
         fs::create_dir_all(&own).unwrap_or_else(|error| panic!("{}: {error}", own.display()));
         for (index, seed) in found(name)
             .into_iter()
-            .chain(seeds::of(name, common::data_dir_if_any().as_deref()))
+            .chain(seeds::of(
+                name,
+                sweepd_testkit::data_dir_if_any().as_deref(),
+            ))
             .enumerate()
         {
             fs::write(own.join(format!("seed-{index:03}")), seed)

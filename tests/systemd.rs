@@ -1,8 +1,6 @@
 //! What systemd/ ships: units and drop-ins that systemd itself takes without a word, and values
 //! that fit the program.
 
-mod common;
-
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};

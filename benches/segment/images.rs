@@ -3,7 +3,7 @@
 
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
-use sweepd_lab::testkit::stream::next_sweep;
+use sweepd_testkit::stream::next_sweep;
 
 use fastrand::Rng;
 use sweepd::admission::{DiscoveredSensors, Route};

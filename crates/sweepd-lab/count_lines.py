@@ -36,6 +36,8 @@ LISTED = (
     "unnamed-docs",
     "shared-type-names",
 )
+# Tests alone, and the soak, have it.
+TESTKIT = "sweepd-testkit"
 LONG = 60
 AT_LEAST = "comments-per-100-lines"
 SLACK = 0.02
@@ -50,7 +52,7 @@ TOKEN = re.compile(
     re.S | re.X,
 )
 # With the documentation above.
-TEST = re.compile(r"""(?:^[ ]*///[^\n]*\n)*[ ]*(?P<attribute>#\[cfg\((?:test|any\(test, fuzzing\)|feature = "testkit")\)\])""", re.M)
+TEST = re.compile(r"""(?:^[ ]*///[^\n]*\n)*[ ]*(?P<attribute>#\[cfg\((?:test|any\(test, fuzzing\))\)\])""", re.M)
 ITEM = re.compile(
     r"""(?:\s*\#\[[^\]]*\])*\s*(?:pub(?:\([^)]*\))?\s+)?(?:(?:const|unsafe|async|extern)\s+(?:"+\s+)?)*
     (?:(?P<kind>fn|use|impl|struct|enum|union|const|static|trait|type)\b|mod\s+(?P<module>\w+))""",
@@ -238,9 +240,10 @@ def read_toml(path):
 
 
 def crates(root):
-    """The folders of our crates, by name."""
+    """The folders of our crates, by name, but for the test kit."""
     manifests = [root / "Cargo.toml", *sorted(root.glob("crates/*/Cargo.toml"))]
-    return {read_toml(one)["package"]["name"]: one.parent for one in manifests}
+    folders = {read_toml(one)["package"]["name"]: one.parent for one in manifests}
+    return {name: folder for name, folder in folders.items() if name != TESTKIT}
 
 
 def sources(folder, root):

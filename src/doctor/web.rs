@@ -40,7 +40,7 @@ mod tests {
 
     #[test]
     fn without_a_web_page_there_is_no_answer() {
-        let free = sweepd_lab::testkit::ReservedPort::new().unwrap();
+        let free = sweepd_testkit::ReservedPort::new().unwrap();
         assert_eq!(ask(&[Ipv4Addr::LOCALHOST], free.number()).unwrap(), []);
     }
 }

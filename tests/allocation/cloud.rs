@@ -2,8 +2,8 @@
 
 use std::f64::consts::TAU;
 
-use crate::counting::of_this_thread;
 use sweepd_lab::cloud::{Cloud, CloudProjector, RowTable};
+use sweepd_testkit::counting::of_this_thread;
 
 const FIRINGS: usize = 720;
 

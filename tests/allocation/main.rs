@@ -2,19 +2,14 @@
 //! the consumers, allocates nothing (but for what iceoryx2 counts a loan by).
 
 mod cloud;
-#[path = "../common/mod.rs"]
-mod common;
-#[path = "../common/counting.rs"]
-mod counting;
 
-use sweepd_lab::testkit::stream;
-use sweepd_lab::testkit::stream::next_sweep;
+use sweepd_testkit::counting::{self, ALLOCATIONS, Counting};
+use sweepd_testkit::stream;
+use sweepd_testkit::stream::next_sweep;
 
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use crate::common::temp_domain;
-use counting::ALLOCATIONS;
 use stream::Spin;
 use sweepd::admission::DiscoveredSensors;
 use sweepd::buffers::{Buffers, HeapBuffers, Memory};
@@ -29,6 +24,10 @@ use sweepd::sweep::{LeastReturns, Shape, SweepMut, SweepRef, Zone};
 use sweepd::wire::DataPacket;
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::{Emitter, EmitterConfig, street};
+use sweepd_testkit::temp_domain;
+
+#[global_allocator]
+static COUNTING: Counting = Counting;
 
 /// What is asked of each sweep: whether anything stands within 20 m.
 const ZONE: [[f64; 3]; 2] = [[-20.0, -20.0, 0.05], [20.0, 20.0, 2.0]];

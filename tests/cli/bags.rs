@@ -9,10 +9,10 @@ use std::process::Command;
 
 use sweepd::input::Capture;
 use sweepd::input::db3::{PATIENCE, Reader};
-use sweepd_lab::testkit::tool;
+use sweepd_testkit::tool;
 
-use crate::common::data_dir;
 use crate::{fixture, inspect, replay};
+use sweepd_testkit::data_dir;
 
 /// The bags of one topic with the packets of `plain.pcap`.
 const BAGS: [&str; 11] = [

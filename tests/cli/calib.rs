@@ -6,8 +6,8 @@ use serde_json::{Value, json};
 use sweepd::sensor::{Beam, Calibration, Model, ModelExt, ros_yaml, stream};
 use sweepd::wire::hdl64::{BEAMS, Series};
 
-use crate::common::hdl64::{dump, write_capture};
 use crate::{Folder, Ran, fixture, inspect, sweepd};
+use sweepd_testkit::hdl64::{dump, write_capture};
 
 /// The calibration of a unit that does not exist, with values that the stream can say.
 fn unit() -> Calibration {

@@ -2,11 +2,9 @@
 
 use std::process::{Command, Stdio};
 
-use crate::common::bags::mcap;
-use crate::{
-    Folder, Ran, command, common, fixture, inspect, made, replay, sweepd, sweepd_with_stdin,
-};
-use sweepd_lab::testkit::scan;
+use crate::{Folder, Ran, command, fixture, inspect, made, replay, sweepd, sweepd_with_stdin};
+use sweepd_testkit::bags::mcap;
+use sweepd_testkit::scan;
 
 #[test]
 fn what_is_no_capture_is_named_by_both_commands() {
@@ -311,7 +309,7 @@ fn a_calibration_that_does_not_fit_is_refused() {
 #[test]
 #[cfg_attr(without_captures, ignore = "no captures")]
 fn real_calibrations_of_other_sensors_are_refused_and_a_wrong_unit_is_told() {
-    let data = common::data_dir();
+    let data = sweepd_testkit::data_dir();
     let path = data.join("pcap/vls128_nebula-a.pcap");
     let file = data.join("calib/rosdrivers_VLS128.yaml");
     let ran = replay(&path, &["--calibration", file.to_str().unwrap()]);

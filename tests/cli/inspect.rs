@@ -4,14 +4,14 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 
-use crate::common::data_dir;
 use crate::{Folder, fixture, inspect, made, sweepd};
 use sweepd::segment::Mount;
 use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::cast::{Scene, Sensor, Spin, small_box};
 use sweepd_lab::simulate::{Emitter, EmitterConfig, Setting};
-use sweepd_lab::testkit::stream;
+use sweepd_testkit::data_dir;
+use sweepd_testkit::stream;
 
 /// The value of a row of the text.
 fn row<'a>(text: &'a str, name: &str) -> &'a str {

@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use crate::common;
 use crate::{Folder, fixture, made, replay};
 
 /// Standard output of a replay, and its files by their names: each return, each segment.
@@ -49,7 +48,7 @@ fn a_replay_with_several_jobs_gives_the_bytes_of_one() {
     exchanged.extend(second);
     let exchanged = folder.write("exchanged.pcap", made::pcap(&exchanged));
     let hdl64e = fixture("street_hdl64e_s3_dual.pcap.gz");
-    let calibration = folder.write("beams.xml", common::hdl64::calibration_yaml());
+    let calibration = folder.write("beams.xml", sweepd_testkit::hdl64::calibration_yaml());
     let beams = ["--calibration", calibration.to_str().unwrap()];
     compare(&two, &[], 8);
     compare(&two, &["--height", "1.9", "--loop=2"], 16);
@@ -66,7 +65,7 @@ fn a_replay_with_several_jobs_gives_the_bytes_of_one() {
 #[cfg_attr(without_captures, ignore = "no captures")]
 fn real_captures_with_several_jobs_give_the_bytes_of_one() {
     for name in ["hdl32e_veloview-monterey-a", "vlp16_timm-dual-a"] {
-        let path = common::data_dir().join(format!("pcap/{name}.pcap"));
+        let path = sweepd_testkit::data_dir().join(format!("pcap/{name}.pcap"));
         compare(&path, &[], 3);
     }
 }

@@ -13,10 +13,9 @@ use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::{Emitter, EmitterConfig, street};
 
-use crate::common;
-use crate::common::bags::mcap;
-use crate::common::command::*;
-use crate::common::setup::{Process, SOON, Setup};
+use sweepd_testkit::bags::mcap;
+use sweepd_testkit::command::*;
+use sweepd_testkit::setup::{Process, SOON, Setup};
 
 #[test]
 fn a_pipe_in_place_of_a_file_is_refused_and_not_waited_for() {
@@ -53,7 +52,7 @@ fn a_reload_that_is_asked_for_at_the_start_is_done_then() {
     let setup = Setup::new("", "");
     let (mut log, mut full) = std::io::pipe().unwrap();
     full.write_all(&[b'\n'; 1 << 16]).unwrap();
-    let mut command = common::sweepd(&setup.daemon_args());
+    let mut command = sweepd_testkit::sweepd(&setup.daemon_args());
     command
         .stdin(Stdio::null())
         .stdout(Stdio::null())
@@ -99,7 +98,7 @@ fn a_limit_of_the_process_is_named_with_what_is_needed() {
         ),
     ] {
         let setup = Setup::new("model = \"hdl64e-s3\"\nreturns = \"dual\"", "");
-        let program = common::sweepd(&setup.daemon_args());
+        let program = sweepd_testkit::sweepd(&setup.daemon_args());
         let script = format!("{limit}; exec \"$@\"");
         let mut command = Command::new("sh");
         command

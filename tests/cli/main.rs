@@ -4,8 +4,6 @@
 #[cfg(feature = "slow-tests")]
 mod bags;
 mod calib;
-#[path = "../common/mod.rs"]
-mod common;
 mod config;
 mod configured;
 mod errors;
@@ -32,4 +30,4 @@ mod to_udp;
 mod version;
 mod watch;
 
-use common::command::*;
+use sweepd_testkit::command::*;

@@ -42,7 +42,7 @@ fn standing(folder: &Folder, has_mast: bool) -> PathBuf {
     folder.write("standing.pcap", pcap(&sent))
 }
 
-fn mask(capture: &Path, picture: &Path, options: &[&str]) -> crate::common::command::Ran {
+fn mask(capture: &Path, picture: &Path, options: &[&str]) -> sweepd_testkit::command::Ran {
     let files = [capture.to_str().unwrap(), "-o", picture.to_str().unwrap()];
     sweepd(&[&["mask"], &files[..], options].concat())
 }

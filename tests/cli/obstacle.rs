@@ -12,9 +12,9 @@ use sweepd::input::write::Addressed;
 use sweepd::sensor::Model;
 use sweepd_lab::cast::{Scene, Sensor, Solid, Spin};
 
-use crate::common::setup::Setup;
-use crate::common::temp_domain;
 use crate::{Folder, Ran, command, fixture};
+use sweepd_testkit::setup::Setup;
+use sweepd_testkit::temp_domain;
 
 /// Tilt of the sensor, nose down, and its height above the floor.
 const PITCH_DEG: f64 = -10.0;

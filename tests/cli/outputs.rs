@@ -10,11 +10,11 @@ use sweepd::input::Capture;
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sweep::layout::flags;
 use sweepd::sweep::{Header, SweepRef};
-use sweepd_lab::testkit::stream::next_sweep;
+use sweepd_testkit::stream::next_sweep;
 use zerocopy::{FromBytes, IntoBytes};
 
-use crate::common::same::same;
 use crate::{Folder, fixture, made, replay, sweepd, sweeps};
+use sweepd_testkit::same::same;
 
 const KEYS: [&str; 18] = [
     "sensor",

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::PathBuf;
 
-use crate::common::root;
+use sweepd_testkit::root;
 
 /// The pages that people read: those of the root, of docs, and of other folders.
 fn pages() -> Vec<PathBuf> {

@@ -9,10 +9,10 @@ use sweepd::sweep::layout::{Column, Part};
 use sweepd::wire::Datagram;
 use zerocopy::FromBytes;
 
-use crate::common::bags::mcap;
 use crate::made::{Sent, datagrams, pcap, pcapng, together, vlp16, with_ports};
 use crate::{Folder, fixture, replay, sweeps};
-use sweepd_lab::testkit::scan;
+use sweepd_testkit::bags::mcap;
+use sweepd_testkit::scan;
 
 /// The sweeps of a replay with these options, all of them, in their own bytes; and what it said.
 fn raw(folder: &Folder, capture: &Path, options: &[&str]) -> (Vec<u8>, String) {

@@ -1,8 +1,8 @@
 //! What `sweepd replay --publish` says of names and sensors.
 
-use crate::common::temp_domain;
 use crate::{Folder, Ran, fixture, made, sweepd};
-use sweepd_lab::testkit::TempDomain;
+use sweepd_testkit::TempDomain;
+use sweepd_testkit::temp_domain;
 
 fn publish(own: &TempDomain, capture: &std::path::Path, names: &[&str], options: &[&str]) -> Ran {
     let names: Vec<&str> = names.iter().flat_map(|name| ["--publish", name]).collect();

@@ -13,9 +13,9 @@ use std::time::{Duration, Instant, SystemTime};
 use sweepd::input::{Capture, CaptureReader};
 use sweepd::wire::Datagram;
 
-use crate::common::run::Run;
 use crate::made::{self, Sent};
 use crate::{Folder, Ran, command, sweepd};
+use sweepd_testkit::run::Run;
 
 /// A recording under way, on a port that the system chose.
 struct Recorder {

@@ -4,9 +4,9 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-use crate::common::free_port;
-use crate::common::web_page::{Fault, WebPage};
 use crate::{Ran, sweepd};
+use sweepd_testkit::free_port;
+use sweepd_testkit::web_page::{Fault, WebPage};
 
 fn sensor(page: &WebPage, words: &[&str]) -> Ran {
     let address = page.address();
@@ -29,7 +29,7 @@ fn bodies(page: &WebPage) -> Vec<String> {
 
 #[test]
 fn it_is_shown() {
-    let page = WebPage::new();
+    let page = WebPage::default();
     let expected = "\
 VLP-16, serial 11002162040404
 laser          on
@@ -67,7 +67,7 @@ pulse (PPS)    Absent
 
 #[test]
 fn without_yes_it_is_said_and_not_done() {
-    let page = WebPage::new();
+    let page = WebPage::default();
     let set = ["set", "--rpm", "1200", "--laser", "on", "--fov", "270-90"];
     let expected = "\
 rpm 600 -> 1200
@@ -83,7 +83,7 @@ nothing was changed: --yes does it
 
 #[test]
 fn what_is_set_lasts_until_power_is_lost_and_what_is_saved_longer() {
-    let page = WebPage::new();
+    let page = WebPage::default();
     let said = sensor(&page, &["set", "--rpm", "1200", "--yes"]).done();
     assert_eq!(
         said,
@@ -100,7 +100,7 @@ fn what_is_set_lasts_until_power_is_lost_and_what_is_saved_longer() {
 
 #[test]
 fn a_program_reads_what_was_set() {
-    let page = WebPage::new();
+    let page = WebPage::default();
     let set = |rest: &[&str]| -> Value {
         let words = [&["set", "--rpm", "1200", "--json"], rest].concat();
         serde_json::from_str(&sensor(&page, &words).done()).unwrap()
@@ -128,7 +128,7 @@ fn a_program_reads_what_was_set() {
 
 #[test]
 fn everything_can_be_set_at_once_and_where_to_last() {
-    let page = WebPage::new();
+    let page = WebPage::default();
     let words = "set --host 192.168.1.100 --data-port 2369 --position-port 8309 --rpm 900 --returns dual --laser off \
                  --fov 270-90 --phase-lock 90.25 --yes";
     let ran = sensor(&page, &words.split_whitespace().collect::<Vec<_>>());
@@ -158,7 +158,7 @@ fn everything_can_be_set_at_once_and_where_to_last() {
 
 #[test]
 fn bad_values_are_refused_before_anything_is_sent() {
-    let page = WebPage::new();
+    let page = WebPage::default();
     let bad = [
         ["--rpm", "610", "a multiple of 60"],
         ["--rpm", "1260", "300 to 1200"],

@@ -2,20 +2,20 @@
 
 use std::process::{Command, Stdio};
 
-use crate::{Folder, Ran, common, sweepd};
+use crate::{Folder, Ran, sweepd};
 
 const CAPTURE: &str = "pcap_fixtures/street_vlp16.pcap.gz";
 
 /// A script of bash, for which `sweepd` is this one.
 fn bash(script: &str) -> Ran {
-    let sweepd = common::program();
+    let sweepd = sweepd_testkit::program();
     let script = format!(
         "set -o pipefail; sweepd() {{ '{}' \"$@\"; }}; {script}",
         sweepd.display()
     );
     let mut bash = Command::new("bash");
     bash.args(["-c", &script]).stdin(Stdio::null());
-    Ran::of(bash.current_dir(common::root()).output().unwrap())
+    Ran::of(bash.current_dir(sweepd_testkit::root()).output().unwrap())
 }
 
 #[test]
@@ -137,7 +137,7 @@ fn each_exit_code_is_in_the_table_and_errors_are_one_line() {
 /// What a command shows on a terminal, which `script` makes.
 fn shown(command: &str, no_color: &str) -> String {
     let mut script = Command::new("script");
-    let program = common::program();
+    let program = sweepd_testkit::program();
     script
         .args([
             "--quiet",
@@ -148,7 +148,7 @@ fn shown(command: &str, no_color: &str) -> String {
         .env("TERM", "xterm")
         .env("NO_COLOR", no_color)
         .stdin(Stdio::null())
-        .current_dir(common::root());
+        .current_dir(sweepd_testkit::root());
     String::from_utf8(script.output().unwrap().stdout).unwrap()
 }
 

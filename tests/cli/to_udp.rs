@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::net::UdpSocket;
 use std::time::{Duration, Instant};
 
-use crate::common::free_port;
 use crate::{Folder, Ran, command, fixture, made, replay};
+use sweepd_testkit::free_port;
 
 /// For 600 datagrams, each of which the kernel counts with 2.3 kB.
 const BUFFER_BYTES: usize = 4 << 20;

@@ -5,8 +5,8 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use crate::common::root;
 use crate::{Folder, Ran};
+use sweepd_testkit::root;
 
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 

@@ -7,9 +7,9 @@ use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::common::temp_domain;
 use crate::{Folder, Ran, command, fixture, replay, sweepd, sweeps};
-use sweepd_lab::testkit::TempDomain;
+use sweepd_testkit::TempDomain;
+use sweepd_testkit::temp_domain;
 
 /// The binary in a domain of the test's own.
 fn within(own: &TempDomain, args: &[&str]) -> Command {
@@ -189,7 +189,7 @@ fn another_user_gets_an_error_that_names_the_owner() {
     .unwrap();
     let watch = ["watch", "roof", "--sweeps", "1", "--timeout", "20"];
     assert_eq!(within(&own, &watch).output().map(Ran::of).unwrap().code, 0);
-    if crate::common::is_root() {
+    if sweepd_testkit::is_root() {
         // The binary is where nobody may look; a copy is not.
         let folder = Folder::new("nobody");
         let copy = folder.path("sweepd");
@@ -239,7 +239,7 @@ fn another_user_gets_an_error_that_names_the_owner() {
 /// As of the service's folder: the cure is its user, whether or not a daemon runs.
 #[test]
 fn who_may_not_look_into_the_folder_is_told_whose_it_is() {
-    if !crate::common::is_root() {
+    if !sweepd_testkit::is_root() {
         return;
     }
     let folder = Folder::new("closed");

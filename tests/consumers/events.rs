@@ -9,12 +9,12 @@ use serde_json::Value;
 use sweepd::sensor::Model;
 use sweepd_lab::cast::{Scene, Sensor, Solid};
 
-use super::common::setup::{Process, SOON, Setup};
-use super::common::{program, sweepd};
 use super::of_project;
 use super::pallet::commands;
 use super::python::Talk;
 use super::sending::Sending;
+use sweepd_testkit::setup::{Process, SOON, Setup};
+use sweepd_testkit::{program, sweepd};
 
 /// Height of the sensor over the floor and the robot's origin, metres.
 const HEIGHT_M: f64 = 0.5;

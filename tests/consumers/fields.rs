@@ -14,11 +14,11 @@ use sweepd::client::Client;
 use sweepd::sweep::{Shape, SweepMut, SweepRef};
 use zerocopy::IntoBytes;
 
-use super::common::library::compile;
-use super::common::{python_package, python_with_numpy, temp_domain};
 use super::python::{LIMIT, Talk, loans};
 use super::source::{Field, Struct, Table, Topic};
 use super::{folder, objects, of_project};
+use sweepd_testkit::library::compile;
+use sweepd_testkit::{python_package, python_with_numpy, temp_domain};
 
 const SHAPE: Shape = Shape {
     rows: 3,

@@ -12,7 +12,7 @@ use sweepd::sweep::{Shape, SweepMut};
 use zerocopy::{FromBytes, IntoBytes};
 
 use super::python::mapped;
-use sweepd_lab::testkit::TempDomain;
+use sweepd_testkit::TempDomain;
 
 type Ipc = iceoryx2::service::ipc_threadsafe::Service;
 

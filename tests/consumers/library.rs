@@ -16,9 +16,9 @@ use super::hostile::{Case, Fate, Hostile, cases, node, schema, service_name};
 use super::python::{Talk, loans, mapped, publish};
 use super::sweeps::Source;
 use super::{folder, objects};
-use crate::common::library::{c_program, compile};
-use crate::common::temp_domain;
-use sweepd_lab::testkit::TempDomain;
+use sweepd_testkit::TempDomain;
+use sweepd_testkit::library::{c_program, compile};
+use sweepd_testkit::temp_domain;
 
 const SOON: Duration = Duration::from_secs(20);
 const SOON_MS: u64 = 20_000;
@@ -276,7 +276,7 @@ fn c_may_make_mistakes() {
 #[cfg_attr(without_compilers, ignore = "no compilers")]
 fn the_loader_asks_for_the_abi_version_of_the_header() {
     let mut readelf = Command::new("readelf");
-    let library = crate::common::library::library().join("libsweepd.so");
+    let library = sweepd_testkit::library::library().join("libsweepd.so");
     let output = readelf.arg("-d").arg(library).output().unwrap();
     let said = String::from_utf8(output.stdout).unwrap();
     let header = std::fs::read_to_string(super::of_project("examples/sweepd.h")).unwrap();
@@ -293,7 +293,7 @@ fn the_loader_asks_for_the_abi_version_of_the_header() {
 #[test]
 #[cfg_attr(without_compilers, ignore = "no compilers")]
 fn the_library_has_the_functions_of_the_header_alone() {
-    let library = crate::common::library::library().join("libsweepd.so");
+    let library = sweepd_testkit::library::library().join("libsweepd.so");
     let mut nm = Command::new("nm");
     let output = nm.args(["-D", "--defined-only"]).arg(library).output();
     let said = String::from_utf8(output.unwrap().stdout).unwrap();

@@ -20,8 +20,8 @@ use super::folder;
 use super::hostile::{Hostile, preamble};
 use super::native::{Fault, compare_refusals, programs, run};
 use super::python::{Talk, check};
-use crate::common::temp_domain;
-use sweepd_lab::testkit::TempDomain;
+use sweepd_testkit::TempDomain;
+use sweepd_testkit::temp_domain;
 
 const SOON: Duration = Duration::from_secs(20);
 

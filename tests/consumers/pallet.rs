@@ -17,13 +17,13 @@ use sweepd_lab::simulate::props::{GroundPose, pallet_stack};
 use sweepd_lab::simulate::shape::Vec3;
 use sweepd_lab::simulate::{Emitter, EmitterConfig, Setting};
 
-use super::common::library::rust_example;
-use super::common::python_with_numpy;
-use super::common::setup::{SOON, Setup};
 use super::of_project;
 use super::programs::{SILENCE, cpp_examples};
 use super::python::Talk;
 use super::sending::Sending;
+use sweepd_testkit::library::rust_example;
+use sweepd_testkit::python_with_numpy;
+use sweepd_testkit::setup::{SOON, Setup};
 
 /// Height of the sensor over the floor, metres, nose up and right side down, degrees.
 const MOUNTS: [(f64, f64, f64); 2] = [(0.4, 0.0, 0.0), (0.9, -10.0, 4.0)];

@@ -14,13 +14,13 @@ use sweepd::sweep::objects::ObjectsHeader;
 use sweepd::sweep::{BeamRow, Column, Header, Pose, SweepMut, SweepRef};
 use zerocopy::{FromBytes, FromZeros, IntoBytes};
 
-use super::common::library::{compile, library, rust_example};
-use super::common::{python_package, python_with_numpy, temp_domain};
 use super::pallet::{commands, start};
 use super::python::{LIMIT, Talk, loans, numbered, publish};
 use super::sweeps::Source;
 use super::{folder, objects, of_project};
-use sweepd_lab::testkit::TempDomain;
+use sweepd_testkit::TempDomain;
+use sweepd_testkit::library::{compile, library, rust_example};
+use sweepd_testkit::{python_package, python_with_numpy, temp_domain};
 
 fn nearest(sweep: &SweepRef<'_>) -> Option<f32> {
     sweep

@@ -15,10 +15,10 @@ use sweepd::sweep::layout::is_return;
 use sweepd::sweep::{Shape, SweepMut, SweepRef};
 use zerocopy::IntoBytes;
 
-use super::common::{python_package, python_with_numpy, temp_domain};
 use super::sweeps::SOURCES;
 use super::{folder, of_project};
-use sweepd_lab::testkit::TempDomain;
+use sweepd_testkit::TempDomain;
+use sweepd_testkit::{python_package, python_with_numpy, temp_domain};
 
 /// Longer than anything here takes on a busy machine.
 pub const LIMIT: Duration = Duration::from_secs(60);

@@ -21,8 +21,8 @@ use super::hostile::{
 };
 use super::python::{Talk, check, loans, publish};
 use super::{folder, objects, of_project};
-use crate::common::temp_domain;
-use sweepd_lab::testkit::TempDomain;
+use sweepd_testkit::TempDomain;
+use sweepd_testkit::temp_domain;
 
 const SOON: Duration = Duration::from_secs(5);
 

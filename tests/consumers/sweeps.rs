@@ -10,7 +10,7 @@ use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::flags;
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::unit::unit;
-use sweepd_lab::testkit::stream::next_sweep;
+use sweepd_testkit::stream::next_sweep;
 
 use super::of_project;
 use super::stream::{Spin, config, datagram};

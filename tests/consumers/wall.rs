@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use sweepd_lab::testkit::stream::next_sweep;
+use sweepd_testkit::stream::next_sweep;
 
 use sweepd::buffers::HeapBuffer;
 use sweepd::buffers::{HeapBuffers, Memory};
@@ -14,10 +14,10 @@ use sweepd::sweep::layout::is_return;
 use sweepd::sweep::{Pose, SweepRef};
 use sweepd_lab::simulate::Emitter;
 
-use super::common::wall::{MOUNT, TURN, VELOCITY, drive, off_the_wall, robot};
-use super::common::{python_package, python_with_numpy};
 use super::native::{programs, run};
 use super::{folder, of_project};
+use sweepd_testkit::wall::{MOUNT, TURN, VELOCITY, drive, off_the_wall, robot};
+use sweepd_testkit::{python_package, python_with_numpy};
 
 /// Sweeps beside the wall, measured without noise, and when the robot was at the origin.
 fn sweeps(model: Model) -> (Vec<HeapBuffer>, i64) {

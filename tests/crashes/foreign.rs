@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 
 use sweepd::client::Domain;
 
-use crate::common::{free_port, temp_domain};
 use crate::setup::{Process, SOON, Setup};
-use sweepd_lab::testkit::domain::shared_memory;
+use sweepd_testkit::domain::shared_memory;
+use sweepd_testkit::{free_port, temp_domain};
 
 /// The user `nobody`.
 const OTHER: u32 = 65_534;

@@ -3,8 +3,8 @@
 
 use std::fs;
 
-use crate::common::{python_package, python_with_numpy};
 use crate::world::{World, binary};
+use sweepd_testkit::{python_package, python_with_numpy};
 
 /// Room that is left, KiB.
 const LEFT_KIB: [u32; 5] = [0, 4, 8, 16, 64];

@@ -10,7 +10,7 @@ use std::{fmt, fs};
 
 use crate::setup::{Process, SOON, Setup, Watch};
 use crate::{Files, Robot, SETTLE, files, no_more};
-use sweepd_lab::testkit::domain::clear;
+use sweepd_testkit::domain::clear;
 
 /// The calls; not every machine has those with a question mark.
 const CALLS: &str = "openat,ftruncate,fchmod,?fchmodat,?chmod,write,?rename,?renameat,renameat2,bind,?unlink,unlinkat,\

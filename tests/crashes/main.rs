@@ -4,8 +4,6 @@
 //! Every program is a process of its own, and is watched from outside: by its output, its exit
 //! code, /health and its files.
 
-#[path = "../common/mod.rs"]
-mod common;
 mod deleted;
 mod foreign;
 mod full;
@@ -17,7 +15,7 @@ mod torn;
 #[path = "../resource/world.rs"]
 mod world;
 
-use common::setup;
+use sweepd_testkit::setup;
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;

@@ -11,8 +11,8 @@ use std::time::Duration;
 
 use sweepd::client::Client;
 
-use crate::common::library::c_program;
 use crate::setup::{Process, Setup};
+use sweepd_testkit::library::c_program;
 
 /// The hash of each sweep, by its run and its number.
 type Hashes = HashMap<(i64, u64), u64>;

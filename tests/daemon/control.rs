@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode;
-use sweepd_lab::testkit::stream::blank;
+use sweepd_testkit::stream::blank;
 
 use crate::child::{Daemon, is_free, write};
 use crate::rig::{Sending, cool_stream_without_gps, free_port, stream, stream_without_gps, until};

@@ -2,10 +2,7 @@
 //! in real time.
 
 mod child;
-#[path = "../common/mod.rs"]
-mod common;
 mod control;
-mod counting;
 mod eye;
 mod http;
 mod losses;
@@ -13,3 +10,8 @@ mod ports;
 mod record;
 mod rig;
 mod told;
+
+use sweepd_testkit::counting::Counting;
+
+#[global_allocator]
+static COUNTING: Counting = Counting;

@@ -152,7 +152,7 @@ impl Drop for Daemon {
     fn drop(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
-        sweepd_lab::testkit::domain::clear(&Domain::at(self.folder.join("root")));
+        sweepd_testkit::domain::clear(&Domain::at(self.folder.join("root")));
         let _ = fs::remove_dir_all(&self.folder);
     }
 }

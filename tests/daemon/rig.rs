@@ -7,8 +7,6 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-pub use crate::common::free_port;
-use crate::counting::allocations;
 use sweepd::buffers::HeapBuffer;
 use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::daemon::config::{Config, DaemonConfig, PortConfig, SensorConfig};
@@ -18,6 +16,8 @@ use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::gps::{Clock, Reception};
 use sweepd_lab::simulate::{Emitter, EmitterConfig, street};
+use sweepd_testkit::counting::of_this_thread;
+pub use sweepd_testkit::free_port;
 
 /// What happens to a thread that sends a sweep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -139,7 +139,7 @@ impl AsMut<[u8]> for Sweep {
 
 impl Outgoing for Sweep {
     fn publish(self) -> Result<Option<Self>, SharingError> {
-        let (fate, before) = (*self.rig.fate.lock().unwrap(), allocations());
+        let (fate, before) = (*self.rig.fate.lock().unwrap(), of_this_thread());
         match fate {
             Fate::Sends => {
                 let _ = self.rig.sender.send((self.name, self.bytes));
@@ -147,7 +147,7 @@ impl Outgoing for Sweep {
                     .allocated
                     .lock()
                     .unwrap()
-                    .push((before, allocations()));
+                    .push((before, of_this_thread()));
                 Ok(None)
             }
             Fate::Hangs => loop {

@@ -11,12 +11,12 @@ use sweepd::input::PcapWriter;
 use sweepd::input::write::Addressed;
 use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode::Strongest;
-use sweepd_lab::testkit::TempDomain;
+use sweepd_testkit::TempDomain;
 
-use crate::common::web_page::WebPage;
-use crate::common::{free_port, temp_domain};
 use crate::stream::{START_NS, Spin};
 use crate::{LOCAL, found, pandar40p, send, spin, vlp16};
+use sweepd_testkit::web_page::WebPage;
+use sweepd_testkit::{free_port, temp_domain};
 
 /// A program that ends with the test.
 struct Program(Child);
@@ -316,7 +316,7 @@ fn settings_other_than_wanted_are_told_by_the_daemon_and_the_doctor() {
         let place = by_packets[0].split_once(": ").unwrap().0;
         let expected = measured.split("; ").map(|what| format!("{place}: {what}"));
         assert_eq!(by_packets, expected.collect::<Vec<_>>());
-        let page = WebPage::new();
+        let page = WebPage::default();
         let asked = told_of_settings(&robot, &["--web-port", &page.port.to_string()]);
         assert_eq!(
             asked,

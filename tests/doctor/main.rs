@@ -2,16 +2,14 @@
 //! serve.
 
 mod beside_daemon;
-#[path = "../common/mod.rs"]
-mod common;
 
-use common::free_port;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener, UdpSocket};
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use sweepd_lab::testkit::stream;
+use sweepd_testkit::free_port;
+use sweepd_testkit::stream;
 
 use serde_json::{Value, json};
 use stream::Spin;

@@ -16,8 +16,8 @@ use sweepd::wire::position::POSITION_PACKET_LEN;
 use sweepd_lab::simulate::unit::unit;
 use sweepd_messages::{Cloud, MessageHeader, Stamp};
 
-use crate::common::bags::{self, mcap, ros1};
-use sweepd_lab::testkit::scan;
+use sweepd_testkit::bags::{self, mcap, ros1};
+use sweepd_testkit::scan;
 
 type Inputs = Vec<Vec<u8>>;
 

@@ -4,9 +4,9 @@
 use std::io::Cursor;
 use std::path::Path;
 
-use crate::common::bags::{self, ROS1_SCAN, mcap, ros1, ros1_scan};
 use sweepd::input::{Capture, CaptureCounts};
-use sweepd_lab::testkit::scan::{SCAN, Stamped, cdr};
+use sweepd_testkit::bags::{self, ROS1_SCAN, mcap, ros1, ros1_scan};
+use sweepd_testkit::scan::{SCAN, Stamped, cdr};
 
 const S: i64 = 1_000_000_000;
 const MS: i64 = 1_000_000;

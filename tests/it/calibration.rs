@@ -1,7 +1,6 @@
 //! Calibration files that people have: all real ones are read, and broken ones are refused with
 //! file, line and key.
 
-use crate::common;
 use std::path::{Path, PathBuf};
 
 use proptest::prelude::*;
@@ -16,7 +15,7 @@ use sweepd::wire::hdl64::{Clock, DUMP_PACKETS, Dump, Gps, Live, Series, Status, 
 
 /// The folder of real calibrations, if it is there.
 fn data_dir() -> PathBuf {
-    common::data_dir().join("calib")
+    sweepd_testkit::data_dir().join("calib")
 }
 
 fn read(dir: &Path, name: &str) -> Calibration {
@@ -59,7 +58,7 @@ fn every_real_file_is_in_the_tables_above() {
         .collect();
     files.sort();
     let models = OF_A_MODEL.iter().map(|row| row.0);
-    let mut listed: Vec<&str> = models.chain(common::HDL64E_UNITS).collect();
+    let mut listed: Vec<&str> = models.chain(sweepd_testkit::HDL64E_UNITS).collect();
     listed.sort_unstable();
     assert_eq!(files, listed);
 }
@@ -128,7 +127,7 @@ fn the_wrong_unit_of_a_vls128_file_is_set_right_and_no_other() {
 #[cfg_attr(without_captures, ignore = "no captures")]
 fn all_files_of_an_hdl64e_fit_it_and_no_other() {
     let dir = data_dir();
-    for name in common::HDL64E_UNITS {
+    for name in sweepd_testkit::HDL64E_UNITS {
         let calibration = read(&dir, name);
         for model in Model::ALL {
             let fitted = calibration.clone().for_model(model);
@@ -721,7 +720,7 @@ fn through_the_stream(calibration: &Calibration, series: Series) -> Calibration 
 fn real_hdl64e_files_go_through_the_stream_but_for_rounding() {
     let dir = data_dir();
     let mut count = 0;
-    for name in common::HDL64E_UNITS {
+    for name in sweepd_testkit::HDL64E_UNITS {
         let source = read(&dir, name);
         for series in [Series::S21, Series::S3] {
             let found = through_the_stream(&source, series);

@@ -1,6 +1,5 @@
 //! Real captures, as they came from sensors and other people's tools.
 
-use crate::common;
 use std::fs::File;
 use std::path::Path;
 use std::time::Duration;
@@ -35,7 +34,7 @@ const CAPTURES: [(&str, u64, u64, &str); 11] = [
 #[test]
 #[cfg_attr(without_captures, ignore = "no captures")]
 fn packets_are_counted_as_others_count_them() {
-    let dir = common::data_dir();
+    let dir = sweepd_testkit::data_dir();
     for (name, data, position, sender) in CAPTURES {
         let path = dir.join(format!("pcap/{name}.pcap"));
         let mut capture = Capture::open(&path).unwrap();
@@ -82,7 +81,7 @@ fn packets_are_counted_as_others_count_them() {
 #[cfg_attr(without_captures, ignore = "no captures")]
 fn the_first_two_chips_of_a_real_sensor_feel_gravity() {
     for (name, ..) in CAPTURES {
-        let path = common::data_dir().join(format!("pcap/{name}.pcap"));
+        let path = sweepd_testkit::data_dir().join(format!("pcap/{name}.pcap"));
         let mut capture = Capture::open(&path).unwrap();
         let mut gravity = Gravity::default();
         let mut accelerations_g = [const { Vec::new() }; 2];
@@ -159,7 +158,7 @@ fn highest_share(path: &Path) -> f64 {
 #[test]
 #[cfg_attr(without_captures, ignore = "no captures")]
 fn no_capture_loses_enough_to_be_reported() {
-    let dir = common::data_dir();
+    let dir = sweepd_testkit::data_dir();
     for (name, ..) in CAPTURES {
         let percent = 100.0 * highest_share(&dir.join(format!("pcap/{name}.pcap")));
         eprintln!("{name}: at most {percent:.2} % in {} s", WINDOW.as_secs());
@@ -205,7 +204,7 @@ fn digest(time_ns: i64, bytes: &[u8]) -> i64 {
 #[test]
 #[cfg_attr(without_captures, ignore = "no captures")]
 fn records_are_those_that_pcap_parser_reads() {
-    let dir = common::data_dir();
+    let dir = sweepd_testkit::data_dir();
     for (name, ..) in CAPTURES {
         let path = dir.join(format!("pcap/{name}.pcap"));
         let mut reader = CaptureReader::open(&path).unwrap();

@@ -1,11 +1,9 @@
 //! Clouds from files, with and without rings, against the sweeps that they came from.
 
-use crate::common;
 use std::collections::HashMap;
 use std::fmt::Write;
 use std::path::Path;
 
-use crate::common::run::Runner;
 use sweepd::export::write_pcd;
 use sweepd::pipeline;
 use sweepd::segment::Config;
@@ -14,6 +12,7 @@ use sweepd::sweep::Frame;
 use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::{LABEL_GROUND, LABEL_NONE};
 use sweepd_lab::cloud::{COLUMNS, Cloud, CloudProjector, CloudSegmenter, Format, RowTable};
+use sweepd_testkit::run::Runner;
 
 /// Firings of a VLP-16 in the turn of a fixture, 10 turns a second.
 const VLP16_COLUMNS: usize = 1808;
@@ -146,7 +145,7 @@ fn labels_of_an_exported_cloud_are_those_of_its_sweep() {
 #[test]
 #[cfg_attr(without_captures, ignore = "no captures")]
 fn a_shuffled_scan_has_the_labels_of_the_scan_in_order() {
-    let data = common::data_dir();
+    let data = sweepd_testkit::data_dir();
     for scan in ["00/000000", "08/000009"] {
         let bytes = std::fs::read(data.join(format!("labelled/semantickitti/{scan}.bin"))).unwrap();
         let cloud = Cloud::read(&bytes, Format::Kitti).unwrap();
@@ -177,7 +176,7 @@ fn a_shuffled_scan_has_the_labels_of_the_scan_in_order() {
 #[test]
 #[cfg_attr(without_captures, ignore = "no captures")]
 fn a_scan_of_nuscenes_is_labelled_by_ring_and_by_model() {
-    let data = common::data_dir();
+    let data = sweepd_testkit::data_dir();
     let path = data.join("labelled/nuscenes/n015_1532402927647951.pcd.bin");
     assert_eq!(Format::of_name(&path), Some(Format::Nuscenes));
     let cloud = Cloud::read(&std::fs::read(path).unwrap(), Format::Nuscenes).unwrap();

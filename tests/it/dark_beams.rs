@@ -11,11 +11,11 @@ use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::flags;
 use sweepd::wire::data::{DataPacket, ReturnMode};
 use sweepd_lab::simulate::{Emitter, EmitterConfig, SimulatedDatagram, fixtures};
-use sweepd_lab::testkit::stream::{self, Sent, Spin, next_sweep};
+use sweepd_testkit::stream::{self, Sent, Spin, next_sweep};
 
-use crate::common::data_dir;
-use crate::common::raw;
-use crate::common::run::Run;
+use sweepd_testkit::data_dir;
+use sweepd_testkit::raw;
+use sweepd_testkit::run::Run;
 
 /// A sensor of which these channels are dark for a part of its turns: from, to.
 fn silenced(spin: &Spin, turns: f64, dark: &[(usize, f64, f64)]) -> Vec<Sent> {

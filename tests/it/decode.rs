@@ -1,7 +1,6 @@
 //! The decoder against the formulas, record by record, and against itself at every level of vector
 //! instructions.
 
-use crate::common;
 use fearless_simd::dispatch;
 use sweepd::assemble::Records;
 use sweepd::assemble::RowOffsets;
@@ -75,7 +74,7 @@ fn calibrations() -> Vec<(String, Calibration, Model)> {
         .into_iter()
         .filter_map(|model| Some((model.to_string(), model.calibration()?.clone(), model)))
         .collect();
-    if let Some(dir) = common::data_dir_if_any() {
+    if let Some(dir) = sweepd_testkit::data_dir_if_any() {
         for entry in std::fs::read_dir(dir.join("calib")).unwrap() {
             let path = entry.unwrap().path();
             let read = files::calibration(&path).unwrap();

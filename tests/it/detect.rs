@@ -1,6 +1,5 @@
 //! Real captures: each is detected as the sensor that made it.
 
-use crate::common;
 use std::path::{Path, PathBuf};
 
 use sweepd::sensor::detect::{Basis, DetectError, Detection, Detector, MAX_PACKETS};
@@ -9,7 +8,7 @@ use sweepd::wire::data::{DATA_PACKET_LEN, DataPacket, ReturnMode};
 
 /// The folder of real captures, if it is there.
 fn data_dir() -> PathBuf {
-    common::data_dir().join("pcap")
+    sweepd_testkit::data_dir().join("pcap")
 }
 
 /// The data packets of a classic little-endian capture of Ethernet, IPv4 and UDP without anything

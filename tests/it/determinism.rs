@@ -4,9 +4,8 @@
 //! speed: `tests/live/equal.rs`.
 
 use std::sync::LazyLock;
-use sweepd_lab::testkit::stream::next_sweep;
+use sweepd_testkit::stream::next_sweep;
 
-use crate::common::same::same;
 use sweepd::assemble::levels;
 use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::pipeline::{Config, Labels, Options, Pipeline, TimedSegmenter};
@@ -17,6 +16,7 @@ use sweepd::sweep::{SweepMut, SweepRef};
 use sweepd::wire::data::ReturnMode::{Dual, Strongest};
 use sweepd_lab::simulate::gps::{Clock, Reception};
 use sweepd_lab::simulate::{Emitter, EmitterConfig, Rates, SimulatedDatagram, deliver, fixtures};
+use sweepd_testkit::same::same;
 
 /// What a sensor sent, with losses, copies and packets out of order, and the sweeps that it gave.
 struct Stream {

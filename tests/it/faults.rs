@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 use sweepd::sensor::ModelExt;
-use sweepd_lab::testkit::stream;
+use sweepd_testkit::stream;
 
 use proptest::prelude::*;
 use sweepd::buffers::{HeapBuffers, Memory};
@@ -11,7 +11,7 @@ use sweepd::sensor::Model::{self, Hdl32e, Hdl64eS3, Vlp16, Vlp32c};
 use sweepd::sweep::layout::flags::{BLANKED, CIRCULAR, PARTIAL, RATE_UNSTABLE, REVERSED, STOPPED};
 use sweepd::wire::data::DataPacket;
 use sweepd::wire::data::ReturnMode::{self, Dual, Last, Strongest};
-use sweepd_lab::testkit::stream::{Content, Run, Sent, Spin, config, cut_at, next_sweep};
+use sweepd_testkit::stream::{Content, Run, Sent, Spin, config, cut_at, next_sweep};
 
 const KINDS: [(Model, ReturnMode); 8] = [
     (Vlp16, Strongest),

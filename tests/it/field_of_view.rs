@@ -1,7 +1,6 @@
 //! A sensor that measures a sector only: its sweeps come out when the sector ends, not when the
 //! head is back in it.
 
-use crate::common::due;
 use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::Model::{self, Hdl32e, Hdl64eS3, Vlp16};
@@ -9,7 +8,8 @@ use sweepd::sensor::ModelExt;
 use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::flags::{BLANKED, CIRCULAR, PARTIAL};
 use sweepd::wire::data::ReturnMode::{self, Dual, Strongest};
-use sweepd_lab::testkit::stream::{Run, Sent, Spin, config, cut_at, datagram, next_sweep, unit};
+use sweepd_testkit::due;
+use sweepd_testkit::stream::{Run, Sent, Spin, config, cut_at, datagram, next_sweep, unit};
 
 const KINDS: [(Model, ReturnMode); 6] = [
     (Vlp16, Strongest),

@@ -1,11 +1,9 @@
 //! Real scans as packets of an HDL-64E, through the whole pipeline: ranges come back, and the
 //! segments are those of `sweepd segment`.
 
-use crate::common;
 use std::collections::HashMap;
 use std::path::PathBuf;
 
-use crate::common::run::Runner;
 use sweepd::files;
 use sweepd::pipeline::Config;
 use sweepd::segment;
@@ -16,6 +14,7 @@ use sweepd::wire::data::RECORDS;
 use sweepd_lab::cloud::{self, COLUMNS, CloudSegmenter};
 use sweepd_lab::simulate::cloud::{Options, Sender, Sending, Turn};
 use sweepd_lab::simulate::gps::Clock;
+use sweepd_testkit::run::Runner;
 
 const SENDING: Sending = Sending {
     seconds: None,
@@ -28,7 +27,7 @@ const SENDING: Sending = Sending {
 
 /// The shared scans of SemanticKITTI.
 fn scans() -> Vec<PathBuf> {
-    let data = common::data_dir();
+    let data = sweepd_testkit::data_dir();
     let sequences = std::fs::read_dir(data.join("labelled/semantickitti")).unwrap();
     let files = sequences.flat_map(|sequence| std::fs::read_dir(sequence.unwrap().path()).unwrap());
     let mut scans: Vec<PathBuf> = files.map(|file| file.unwrap().path()).collect();
@@ -53,7 +52,7 @@ fn points(scan: &std::path::Path) -> Vec<[f32; 4]> {
 }
 
 fn calibration(file: &str) -> Calibration {
-    files::calibration(&common::data_dir().join("calib").join(file)).unwrap()
+    files::calibration(&sweepd_testkit::data_dir().join("calib").join(file)).unwrap()
 }
 
 const UNIT: &str = "hdl64e_s3-unit1090_db.yaml";

@@ -3,10 +3,8 @@
 //!
 //! Theirs is an image of even columns with one table of row angles; see the README beside the data.
 
-use crate::common;
 use std::path::{Path, PathBuf};
 
-use crate::common::npy;
 use serde_json::Value;
 use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::segment::Angles;
@@ -15,6 +13,7 @@ use sweepd::segment::{Config, PaperGround, Window};
 use sweepd::sensor::Beam;
 use sweepd::sweep::layout::LABEL_GROUND;
 use sweepd::sweep::{Shape, SweepMut};
+use sweepd_testkit::npy;
 
 const CASES: usize = 16;
 
@@ -155,7 +154,7 @@ impl Case {
 }
 
 fn cases() -> Vec<Case> {
-    let data = common::data_dir();
+    let data = sweepd_testkit::data_dir();
     let root = data.join("golden_depth_clustering");
     let entries =
         std::fs::read_dir(&root).unwrap_or_else(|error| panic!("{}: {error}", root.display()));

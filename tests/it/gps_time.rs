@@ -1,6 +1,5 @@
 //! Which time of a GPS receiver sweeps have.
 
-use crate::common::run::Run;
 use sweepd::sensor::Model;
 use sweepd::sweep::layout::TimeSource;
 use sweepd::wire::data::ReturnMode;
@@ -8,6 +7,7 @@ use sweepd_lab::simulate::EmitterConfig;
 use sweepd_lab::simulate::emitter::Emitter;
 use sweepd_lab::simulate::fixtures;
 use sweepd_lab::simulate::gps::{Clock, ReceiverFault, Reception};
+use sweepd_testkit::run::Run;
 
 const SECOND_NS: i64 = 1_000_000_000;
 const DAY_NS: i64 = 86_400 * SECOND_NS;

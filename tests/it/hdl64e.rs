@@ -1,10 +1,8 @@
 //! HDL-64E units, each with beams of its own: what is flat is flat, what is upright stands in one
 //! column, and the beams are known as soon as the unit has told them.
 
-use crate::common;
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::common::run::{Run, Runner};
 use sweepd::cure;
 use sweepd::files;
 use sweepd::pipeline::{Config, Fault, Notice};
@@ -16,11 +14,12 @@ use sweepd_lab::simulate::optics::Optics;
 use sweepd_lab::simulate::scene::Surface;
 use sweepd_lab::simulate::shape::{Shape, Vec3};
 use sweepd_lab::simulate::{Class, Emitter, EmitterConfig, Scene, SimulatedDatagram};
+use sweepd_testkit::run::{Run, Runner};
 
 /// The real units, if they are there, with the name of each.
 fn units() -> Vec<(&'static str, Calibration)> {
-    let folder = common::data_dir().join("calib");
-    common::HDL64E_UNITS
+    let folder = sweepd_testkit::data_dir().join("calib");
+    sweepd_testkit::HDL64E_UNITS
         .map(|name| (name, files::calibration(&folder.join(name)).unwrap()))
         .into()
 }

@@ -20,9 +20,9 @@ use sweepd_lab::cloud::{COLUMNS, CloudProjector, points};
 use sweepd_lab::simulate::Setting;
 use sweepd_lab::twin;
 
-use crate::common::run::Runner;
-use crate::common::simulated::Simulated;
-use crate::common::{data_dir, data_dir_if_any};
+use sweepd_testkit::run::Runner;
+use sweepd_testkit::simulated::Simulated;
+use sweepd_testkit::{data_dir, data_dir_if_any};
 
 /// Height, if one is said, and doubt.
 type Said = (Option<f32>, u32);

@@ -7,7 +7,7 @@ use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::Model;
 use sweepd::sweep::SweepRef;
 use sweepd::wire::data::ReturnMode;
-use sweepd_lab::testkit::stream::{Run, Sent, Spin, config, datagram, next_sweep, unit};
+use sweepd_testkit::stream::{Run, Sent, Spin, config, datagram, next_sweep, unit};
 use zerocopy::IntoBytes;
 
 /// Buffers that are full of one byte.

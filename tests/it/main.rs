@@ -4,8 +4,6 @@ mod bags;
 mod calibration;
 mod capture;
 mod cloud;
-#[path = "../common/mod.rs"]
-mod common;
 mod dark_beams;
 mod decode;
 mod detect;

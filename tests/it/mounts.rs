@@ -8,7 +8,7 @@ use sweepd::sweep::layout::{LABEL_GROUND, LABEL_NONE, flags};
 use sweepd::sweep::{Pose, SweepRef};
 use sweepd::wire::Datagram;
 use sweepd_lab::cast::{Scene, Sensor, Solid, Spin};
-use sweepd_lab::testkit::stream::next_sweep;
+use sweepd_testkit::stream::next_sweep;
 
 /// How high the sensor is mounted, metres.
 const HEIGHT_M: f64 = 1.5;

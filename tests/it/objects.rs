@@ -4,8 +4,6 @@
 use std::f32::consts::FRAC_PI_3;
 use std::path::{Path, PathBuf};
 
-use crate::common::data_dir_if_any;
-use crate::common::objects::{Listener, Tally};
 use sweepd::admission::{DiscoveredSensors, Refused};
 use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::input::Capture;
@@ -15,7 +13,9 @@ use sweepd::sweep::objects::why;
 use sweepd::wire::Datagram;
 use sweepd::wire::data::ReturnMode::Strongest;
 use sweepd_lab::simulate::{Emitter, EmitterConfig, Rates, deliver, fixtures};
-use sweepd_lab::testkit::stream::push;
+use sweepd_testkit::data_dir_if_any;
+use sweepd_testkit::objects::{Listener, Tally};
+use sweepd_testkit::stream::push;
 
 /// A pipeline that tells objects, and its listener.
 struct Run {

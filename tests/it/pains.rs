@@ -2,12 +2,12 @@
 //! be absent.
 
 use std::collections::BTreeSet;
-use sweepd_lab::testkit::stream;
+use sweepd_testkit::stream;
 
 use sweepd::sensor::Model;
 use sweepd::sweep::layout::flags::CIRCULAR;
 use sweepd::wire::data::{BLOCKS, ReturnMode};
-use sweepd_lab::testkit::stream::{Run, Spin, config};
+use sweepd_testkit::stream::{Run, Spin, config};
 
 /// The block in which the azimuth wraps, of each packet that has one: 0 where it is less than the
 /// last of the packet before.

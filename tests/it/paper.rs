@@ -1,7 +1,6 @@
 //! The paper's method on real scans: the same at every SIMD level, and a table that says what its
 //! pixels say.
 
-use crate::common;
 use fearless_simd::Level;
 use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::segment::{Config, Method, Segmenter};
@@ -14,7 +13,7 @@ const SCANS: [&str; 2] = ["00/000000", "08/000009"];
 
 /// Calls with real scans, as sweeps.
 fn with_scans(look: impl Fn(&str, &mut SweepMut<'_>)) {
-    let data = common::data_dir();
+    let data = sweepd_testkit::data_dir();
     for scan in SCANS {
         let bytes = std::fs::read(data.join(format!("labelled/semantickitti/{scan}.bin"))).unwrap();
         let mut projector = CloudProjector::new(COLUMNS).unwrap();

@@ -1,6 +1,5 @@
 //! Points of clouds come in the order in which they were measured, of every model, single and dual.
 
-use crate::common::{self, run::Run};
 use sweepd::export::write_pcd;
 use sweepd::messages::{Cloud, MessageHeader, Points, Stamp};
 use sweepd::pipeline::Config;
@@ -8,6 +7,7 @@ use sweepd::sensor::Model;
 use sweepd::sweep::{Frame, Return, SweepRef};
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::{Emitter, EmitterConfig, SimulatedDatagram, fixtures};
+use sweepd_testkit::{self, run::Run};
 
 /// Bytes of a point of a cloud and of a PCD, and where each has its time.
 const POINT: usize = 26;
@@ -115,7 +115,7 @@ fn points_of_real_sensors_are_in_the_order_of_measurement() {
         "vlp32c_nebula-fov180-a.pcap",
         "hdl32e_veloview-monterey-a.pcap",
     ] {
-        let capture = common::data_dir().join("pcap").join(name);
+        let capture = sweepd_testkit::data_dir().join("pcap").join(name);
         check_run(name, &Run::of_capture(&capture));
     }
 }

@@ -12,9 +12,9 @@ use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::scene::Surface;
 use sweepd_lab::simulate::shape::{Shape, Vec3};
 use sweepd_lab::simulate::{Class, Emitter, EmitterConfig, Scene, SimulatedDatagram};
-use sweepd_lab::testkit::stream;
+use sweepd_testkit::stream;
 
-use crate::common::run::Run;
+use sweepd_testkit::run::Run;
 
 /// The sensor in the frame of the robot, which is that of the scene: 0.2 m right, 0.3 m ahead, 1.4 m
 /// up, turned clockwise.

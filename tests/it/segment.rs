@@ -1,9 +1,8 @@
 //! The fast segmentation against its naive twin, and what must be true of any labelled sweep.
 
-use crate::common;
-use crate::common::objects::{check, is_wide};
 use std::collections::HashMap;
 use std::f32::consts::{PI, TAU};
+use sweepd_testkit::objects::{check, is_wide};
 
 use proptest::prelude::*;
 use sweepd::assemble::levels;
@@ -1106,7 +1105,7 @@ fn sixteen_tilted_beams_see_a_floor_and_a_box() {
 #[test]
 #[cfg_attr(without_captures, ignore = "no captures")]
 fn the_height_of_a_car_is_seen() {
-    let data = common::data_dir();
+    let data = sweepd_testkit::data_dir();
     let mut projector = CloudProjector::new(COLUMNS).unwrap();
     let mut segmenter = Segmenter::new(Config::default()).unwrap();
     for frame in ["000000", "000004", "000009"] {
@@ -1127,7 +1126,7 @@ fn the_height_of_a_car_is_seen() {
 #[test]
 #[cfg_attr(without_captures, ignore = "no captures")]
 fn fast_is_naive_on_real_scans() {
-    let data = common::data_dir();
+    let data = sweepd_testkit::data_dir();
     for (scan, climb_m) in [("00/000000", 0.2), ("08/000009", 0.2), ("08/000009", 0.05)] {
         let bytes = std::fs::read(data.join(format!("labelled/semantickitti/{scan}.bin"))).unwrap();
         let mut projector = CloudProjector::new(COLUMNS).unwrap();
@@ -1158,7 +1157,7 @@ fn fast_is_naive_on_real_scans() {
 fn ground_is_what_people_call_ground() {
     const GROUND: [u16; 6] = [40, 44, 48, 49, 60, 72];
     const UNLABELLED: u16 = 0;
-    let data = common::data_dir();
+    let data = sweepd_testkit::data_dir();
     for (method, least) in [(Method::Slope, 0.95), (Method::Paper, 0.92)] {
         let [mut right, mut found, mut there] = [0_u32; 3];
         for sequence in ["00", "02", "04", "06", "08", "10"] {

@@ -6,7 +6,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
-use crate::common::temp_domain;
 use sweepd::buffers::HeapBuffer;
 use sweepd::buffers::{Buffers, HeapBuffers, Memory};
 use sweepd::client::{Client, ClientError, JoinError, Sweep};
@@ -17,8 +16,9 @@ use sweepd::sweep::objects::{self, MESSAGE_BYTES, Object, Sending, flags};
 use sweepd::sweep::{Shape, SweepMut, SweepRef};
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::{Emitter, EmitterConfig, fixtures};
-use sweepd_lab::testkit::TempDomain;
-use sweepd_lab::testkit::stream::{Sent, Spin, config, datagram, next_sweep, unit};
+use sweepd_testkit::TempDomain;
+use sweepd_testkit::stream::{Sent, Spin, config, datagram, next_sweep, unit};
+use sweepd_testkit::temp_domain;
 
 /// Longest wait for what comes at once where this process has a core.
 const SOON: Duration = Duration::from_secs(20);

@@ -1,11 +1,11 @@
 //! The default method against the paper's where beams are sparse, on scenes whose truth the
 //! simulator knows.
 
-use crate::common::simulated::Simulated;
 use sweepd::segment::{Config, Method};
 use sweepd::sensor::Model;
 use sweepd_lab::score::{InstanceCounts, ScanScore};
 use sweepd_lab::simulate::Setting;
+use sweepd_testkit::simulated::Simulated;
 
 /// Fewest points of an instance that counts.
 const INSTANCE_POINTS: u32 = 20;

@@ -1,13 +1,13 @@
 //! Small robots in simulated scenes, with sensors mounted in many ways: what the floor is in the
 //! frame of the robot, and what is labelled.
 
-use crate::common::run::Placed;
-use crate::common::simulated::Simulated;
 use sweepd::segment::{Config, Mount};
 use sweepd::sensor::Model;
 use sweepd::sweep::Pose;
 use sweepd::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND};
 use sweepd_lab::simulate::{Class, ReturnTruth, Setting};
+use sweepd_testkit::run::Placed;
+use sweepd_testkit::simulated::Simulated;
 
 /// The scenes with a level floor.
 const INDOORS: [Setting; 3] = [Setting::Room, Setting::Corridor, Setting::Warehouse];

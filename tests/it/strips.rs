@@ -3,8 +3,6 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::common::data_dir_if_any;
-use crate::common::run::Runner;
 use sweepd::assemble::levels;
 use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::pipeline::Config;
@@ -12,6 +10,8 @@ use sweepd::segment::{self, Mount, Segmenter};
 use sweepd::sweep::layout::flags;
 use sweepd::sweep::{SweepMut, SweepRef};
 use sweepd_lab::twin;
+use sweepd_testkit::data_dir_if_any;
+use sweepd_testkit::run::Runner;
 
 fn captures() -> Vec<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("pcap_fixtures");

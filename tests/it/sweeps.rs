@@ -1,16 +1,15 @@
 //! Sweeps of real captures against facts that were taken from their bytes by other means
 //! (shared/data/README.md).
 
-use crate::common;
-use crate::common::due;
-use crate::common::raw::{self, RawPacket};
-use crate::common::run::{Run, Runner};
 use sweepd::pipeline::{Config, Fault};
 use sweepd::sensor::{Model, ModelExt};
 use sweepd::sweep::layout::{TimeSource, flags};
 use sweepd::sweep::{Column, SweepRef};
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::{Emitter, EmitterConfig, SimulatedDatagram, fixtures};
+use sweepd_testkit::due;
+use sweepd_testkit::raw::{self, RawPacket};
+use sweepd_testkit::run::{Run, Runner};
 
 /// Every capture of a supported model, and the speed of its head, turns a minute.
 const CAPTURES: [(&str, Model, f64); 8] = [
@@ -42,7 +41,7 @@ const HDL32E_RETURNS: [(&str, &[u32]); 2] = [
 #[test]
 #[cfg_attr(without_captures, ignore = "no captures")]
 fn hdl32e_sweeps_have_the_returns_between_the_wraps() {
-    let data = common::data_dir();
+    let data = sweepd_testkit::data_dir();
     for (name, expected) in HDL32E_RETURNS {
         let run = Run::of_capture(&data.join(format!("pcap/{name}.pcap")));
         let views = run.views();
@@ -67,7 +66,7 @@ fn hdl32e_sweeps_have_the_returns_between_the_wraps() {
 #[test]
 #[cfg_attr(without_captures, ignore = "no captures")]
 fn every_return_of_a_capture_is_in_one_sweep_as_it_stands_on_the_wire() {
-    let data = common::data_dir();
+    let data = sweepd_testkit::data_dir();
     for (name, model, _) in CAPTURES {
         let capture = data.join(format!("pcap/{name}.pcap"));
         let packets = raw::packets(&capture);
@@ -104,7 +103,7 @@ fn every_return_of_a_capture_is_in_one_sweep_as_it_stands_on_the_wire() {
 #[test]
 #[cfg_attr(without_captures, ignore = "no captures")]
 fn the_speed_is_that_of_azimuth_over_sensor_time() {
-    let data = common::data_dir();
+    let data = sweepd_testkit::data_dir();
     for (name, _, rpm) in CAPTURES {
         let run = Run::of_capture(&data.join(format!("pcap/{name}.pcap")));
         let (mut turns, mut time) = (0.0, 0.0);
@@ -124,7 +123,7 @@ fn the_speed_is_that_of_azimuth_over_sensor_time() {
 #[test]
 #[cfg_attr(without_captures, ignore = "no captures")]
 fn lost_packets_leave_their_columns_and_the_rest_stays_in_place() {
-    let data = common::data_dir();
+    let data = sweepd_testkit::data_dir();
     let run = Run::of_capture(&data.join("pcap/vlp16_timm-dual-a.pcap"));
     let views = run.views();
     assert_eq!(run.counts.lost, 21);
@@ -176,7 +175,7 @@ fn lost_packets_leave_their_columns_and_the_rest_stays_in_place() {
 #[test]
 #[cfg_attr(without_captures, ignore = "no captures")]
 fn dual_returns_keep_both_where_they_are_equal() {
-    let data = common::data_dir();
+    let data = sweepd_testkit::data_dir();
     let run = Run::of_capture(&data.join("pcap/vlp16_timm-dual-a.pcap"));
     let equal = |sweep: &SweepRef<'_>| {
         let pixels = 0..sweep.range.len();
@@ -191,7 +190,7 @@ fn dual_returns_keep_both_where_they_are_equal() {
 #[test]
 #[cfg_attr(without_captures, ignore = "no captures")]
 fn time_is_utc_where_gps_is_locked() {
-    let data = common::data_dir();
+    let data = sweepd_testkit::data_dir();
     let run = Run::of_capture(&data.join("pcap/vlp16_mrpt-gps.pcap"));
     // 2016-01-21 08:18:02.340595 UTC: stamp of the first packet, hour of the sentence.
     assert_eq!(run.views()[0].header.time_ns, 1_453_364_282_340_595_000);
@@ -206,7 +205,7 @@ fn time_is_utc_where_gps_is_locked() {
 #[test]
 #[cfg_attr(without_captures, ignore = "no captures")]
 fn time_is_utc_without_a_reported_pulse_where_that_is_allowed() {
-    let data = common::data_dir();
+    let data = sweepd_testkit::data_dir();
     let capture = data.join("pcap/hdl32e_veloview-monterey-a.pcap");
     let run = |gps_without_pps| {
         Run::of_capture_with(
@@ -283,7 +282,7 @@ fn azimuth_36000_begins_a_sweep() {
     whole_turn_begins_a_sweep(&packets, &run, 2);
 
     // A real one: packet 857, block 4.
-    let data = common::data_dir();
+    let data = sweepd_testkit::data_dir();
     let capture = data.join("pcap/hdl32e_veloview-monterey-a.pcap");
     whole_turn_begins_a_sweep(&raw::packets(&capture), &Run::of_capture(&capture), 1);
 }

@@ -4,7 +4,6 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use crate::common::run::{AT_FAR_M, Placed, Run, range_m, walk_ns};
 use sweepd::pipeline::Config;
 use sweepd::sensor::{Model, ModelExt};
 use sweepd::sweep::SweepRef;
@@ -15,6 +14,7 @@ use sweepd_lab::simulate::shape::Vec3;
 use sweepd_lab::simulate::{
     Class, EmitterConfig, Faults, PacketTruth, ReturnTruth, SimulatedDatagram,
 };
+use sweepd_testkit::run::{AT_FAR_M, Placed, Run, range_m, walk_ns};
 
 const HOUR_NS: i64 = 3_600_000_000_000;
 

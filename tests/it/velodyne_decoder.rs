@@ -4,7 +4,6 @@
 //! `compare_velodyne_decoder.py` compares and says which differences are meant. It runs with
 //! `SWEEPD_PYTHON`, else `python3`, and needs `pip install velodyne-decoder==3.1.0`.
 
-use crate::common;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -189,8 +188,8 @@ impl Drop for Comparison<'_> {
     ignore = "no captures or no SWEEPD_PYTHON"
 )]
 fn returns_of_real_captures_are_those_of_velodyne_decoder() {
-    let data = common::data_dir();
-    let python = common::python();
+    let data = sweepd_testkit::data_dir();
+    let python = sweepd_testkit::python();
     let mut failures = String::new();
     for (name, model) in CAPTURES {
         let capture = data.join(format!("pcap/{name}.pcap"));
@@ -202,7 +201,7 @@ fn returns_of_real_captures_are_those_of_velodyne_decoder() {
 #[test]
 #[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn returns_of_simulated_captures_are_those_of_velodyne_decoder() {
-    let python = common::python();
+    let python = sweepd_testkit::python();
     let folder = folder("of_a_table");
     let mut failures = String::new();
     for (model, options) in OF_A_TABLE {
@@ -233,8 +232,8 @@ fn returns_of_simulated_captures_are_those_of_velodyne_decoder() {
     ignore = "no captures or no SWEEPD_PYTHON"
 )]
 fn returns_of_real_units_of_an_hdl64e_are_those_of_velodyne_decoder() {
-    let data = common::data_dir();
-    let python = common::python();
+    let data = sweepd_testkit::data_dir();
+    let python = sweepd_testkit::python();
     let folder = folder("of_a_unit");
     let mut failures = String::new();
     for (model, unit, options) in OF_A_UNIT {
@@ -266,7 +265,7 @@ pub fn named(options: &[&str]) -> String {
 #[test]
 #[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn velodyne_decoder_recovers_the_calibration_of_a_simulated_unit() {
-    let python = common::python();
+    let python = sweepd_testkit::python();
     let folder = folder("from_the_status");
     let [whole, theirs, ours, given] =
         ["whole.pcap", "theirs.yaml", "ours.yaml", "given.yaml"].map(|name| folder.join(name));
@@ -419,7 +418,7 @@ fn read_status(python: &OsStr, capture: &Path, calibration: &Path) -> String {
 #[test]
 #[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn the_status_of_an_hdl64e_is_that_of_velodyne_decoder() {
-    let python = common::python();
+    let python = sweepd_testkit::python();
     let folder = folder("status");
     let (capture, theirs) = (folder.join("hdl64e.pcap"), folder.join("theirs.yaml"));
     let beams = (0..BEAMS).map(|channel| Beam {
@@ -431,8 +430,8 @@ fn the_status_of_an_hdl64e_is_that_of_velodyne_decoder() {
     });
     let ours = Calibration::new(beams.collect(), stream::DISTANCE_UNIT_M).unwrap();
     for (series, name) in [(Series::S21, "S2"), (Series::S3, "S3")] {
-        let dump = common::hdl64::dump(&ours, series);
-        common::hdl64::write_capture(&capture, (&dump, series), 500..500 + 4160, |_| true);
+        let dump = sweepd_testkit::hdl64::dump(&ours, series);
+        sweepd_testkit::hdl64::write_capture(&capture, (&dump, series), 500..500 + 4160, |_| true);
         let said = read_status(&python, &capture, &theirs);
         for part in [
             &format!("'Model': '{name}'"),

@@ -4,7 +4,7 @@
 //! `compare_velodyne_reference.py` compares and says which differences are meant.
 
 use super::velodyne_decoder::{Comparison, folder, named, simulate};
-use crate::common::{self, raw};
+use sweepd_testkit::{self, raw};
 
 /// Real captures, and their models.
 const CAPTURES: [(&str, &str); 2] = [
@@ -25,7 +25,10 @@ const SHORT: [&str; 2] = ["--seconds", "0.12"];
 
 /// What is wrong with what sweepd makes of a capture, if anything is.
 fn failures(capture: &std::path::Path, model: &str) -> String {
-    let (python, tools) = (common::python(), common::data_dir().join("../tools"));
+    let (python, tools) = (
+        sweepd_testkit::python(),
+        sweepd_testkit::data_dir().join("../tools"),
+    );
     Comparison::replay(&python, capture, model, None)
         .failures_by("compare_velodyne_reference.py", Some(&tools))
 }
@@ -36,7 +39,7 @@ fn failures(capture: &std::path::Path, model: &str) -> String {
     ignore = "no captures, no reference decoder or no SWEEPD_PYTHON"
 )]
 fn returns_of_real_captures_are_those_of_the_reference() {
-    let folder = common::data_dir().join("pcap");
+    let folder = sweepd_testkit::data_dir().join("pcap");
     let failures = CAPTURES
         .map(|(name, model)| failures(&folder.join(format!("{name}.pcap")), model))
         .concat();

@@ -1,9 +1,8 @@
 //! Points that VeloView's own tests record for two captures (shared/data/README.md): where another
 //! driver, by other people, puts the same bytes.
 
-use crate::common;
-use crate::common::raw::{self, BLOCKS, RECORDS, RawPacket};
-use crate::common::run::Run;
+use sweepd_testkit::raw::{self, BLOCKS, RECORDS, RawPacket};
+use sweepd_testkit::run::Run;
 
 /// Where a return stands: packet, block, record.
 type Place = (u64, usize, usize);
@@ -50,7 +49,7 @@ const fn point(piece: usize, number: usize, point_m: [f64; 3], intensity: u8) ->
 /// The recorded points lie where ours do: x and y within 1 mm and a hundredth of a degree, z within
 /// 1 mm.
 fn check(name: &str, totals: &[(usize, usize)], points: &[Point]) {
-    let data = common::data_dir();
+    let data = sweepd_testkit::data_dir();
     let capture = data.join(format!("pcap/{name}.pcap"));
     let pieces = pieces(&raw::packets(&capture));
     // That the totals are theirs proves that the numbers of the points mean the same here.

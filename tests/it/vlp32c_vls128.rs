@@ -1,10 +1,6 @@
 //! Real captures of a VLP-32C and of a VLS-128, against counts, sums and points that were worked
 //! out by hand and by a decoder of other code.
 
-use crate::common;
-use crate::common::raw;
-use crate::common::run::{Placed, Run};
-use crate::common::same::same;
 use std::ops::RangeInclusive;
 use sweepd::sensor::{Model, ModelExt};
 use sweepd::sweep::layout::flags::LOSS_ESTIMATED;
@@ -13,6 +9,9 @@ use sweepd_lab::simulate::gps::Clock;
 use sweepd_lab::simulate::{
     ClockStep, Emitter, EmitterConfig, Faults, FieldOfView, SimulatedDatagram, deliver, fixtures,
 };
+use sweepd_testkit::raw;
+use sweepd_testkit::run::{Placed, Run};
+use sweepd_testkit::same::same;
 
 const VLP32C: &str = "vlp32c_nebula-fov180-a";
 const VLS128: &str = "vls128_nebula-a";
@@ -51,7 +50,7 @@ const fn point(
 }
 
 fn run(name: &str) -> Run {
-    Run::of_capture(&common::data_dir().join(format!("pcap/{name}.pcap")))
+    Run::of_capture(&sweepd_testkit::data_dir().join(format!("pcap/{name}.pcap")))
 }
 
 /// The returns in the order of the wire, with the number of their revolution.
@@ -60,7 +59,7 @@ fn in_order(
     run: &Run,
     blocks_of_firing: usize,
 ) -> (Vec<Revolution>, Vec<(usize, Placed)>) {
-    let packets = raw::packets(&common::data_dir().join(format!("pcap/{name}.pcap")));
+    let packets = raw::packets(&sweepd_testkit::data_dir().join(format!("pcap/{name}.pcap")));
     let mut revolutions = vec![Revolution::default()];
     let mut of_firing = Vec::new();
     let mut before = 0;

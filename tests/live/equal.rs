@@ -8,7 +8,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
-use sweepd_lab::testkit::stream::next_sweep;
+use sweepd_testkit::stream::next_sweep;
 
 use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::client::Client;
@@ -62,7 +62,7 @@ impl Python {
         command
             .arg(script)
             .arg(setup.own.root())
-            .envs(crate::common::python_package())
+            .envs(sweepd_testkit::python_package())
             .stdin(Stdio::null())
             .stdout(Stdio::piped());
         let mut child = command.spawn().unwrap();
@@ -179,7 +179,7 @@ fn compare(name: &str, python: Option<&OsStr>, send: impl FnOnce(&Setup) -> Proc
 #[test]
 #[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn simulated_sensors_live_and_replayed() {
-    let python = crate::common::python_with_numpy();
+    let python = sweepd_testkit::python_with_numpy();
     for (model, rpm, seconds, sweeps) in [
         ("vlp16", 600, 1.5, 14),
         ("vlp16", 1200, 1.5, 28),
@@ -284,8 +284,8 @@ fn captures_replayed_at_any_speed() {
     ignore = "no captures or no SWEEPD_PYTHON"
 )]
 fn real_captures_live_and_replayed() {
-    let data = crate::common::data_dir();
-    let python = crate::common::python_with_numpy();
+    let data = sweepd_testkit::data_dir();
+    let python = sweepd_testkit::python_with_numpy();
     for capture in [
         "hdl32e_mrpt-sample.pcap",
         "hdl32e_veloview-monterey-a.pcap",

@@ -4,8 +4,6 @@
 //! A Python (`SWEEPD_ROS_PYTHON`) with the packages `rosbags`, `mcap`, `mcap-ros2-support`, `numpy`
 //! and `kiss-icp` is wanted. Where it is missing those tests are ignored; under `CI=true` they fail.
 
-#[path = "../common/mod.rs"]
-mod common;
 mod odometry;
 mod recorded;
 mod types;
@@ -14,8 +12,8 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use common::data_dir;
-use common::setup::sweepd;
+use sweepd_testkit::data_dir;
+use sweepd_testkit::setup::sweepd;
 
 /// A folder for one test, empty at its beginning.
 fn folder(test: &str) -> PathBuf {

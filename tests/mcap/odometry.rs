@@ -6,9 +6,9 @@ use sweepd::messages::{Cloud, Fields, Layout, MessageHeader, Motion, Stamp};
 use sweepd::sweep::Pose;
 use sweepd::sweep::layout::flags;
 
-use crate::common::run::Run;
-use crate::common::setup::sweepd;
 use crate::{folder, python};
+use sweepd_testkit::run::Run;
+use sweepd_testkit::setup::sweepd;
 
 /// When drives of `sweepd simulate` begin.
 const START_NS: i64 = 1_777_889_843_000_000_000;

@@ -11,7 +11,7 @@ use mcap::io::MessageReader;
 use mcap::sans_io::LinearReaderOptions;
 use sweepd::messages::{Cloud, MessageHeader, Stamp, markers};
 
-use crate::common::setup::{Process, SOON, Setup, sweepd};
+use sweepd_testkit::setup::{Process, SOON, Setup, sweepd};
 
 /// The messages of the topics of `roof` by topic and time.
 type Read = BTreeMap<(String, u64), Vec<u8>>;

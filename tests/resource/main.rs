@@ -5,8 +5,6 @@
 //! is so for it alone. And two hosts with iceoryx2's tunnel between them, which are two network
 //! namespaces.
 
-#[path = "../common/mod.rs"]
-mod common;
 mod running;
 mod start;
 mod tunnel;

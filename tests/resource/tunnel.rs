@@ -10,11 +10,11 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::common::temp_domain;
 use crate::world::{World, binary};
 use sweepd::client::{Client, Domain, Next};
 use sweepd::host::realtime_ns;
-use sweepd_lab::testkit::TempDomain;
+use sweepd_testkit::TempDomain;
+use sweepd_testkit::temp_domain;
 
 /// What the tunnel reads from its folder, and its options on both hosts: those of the page.
 const ICEORYX2: &str = "config/iceoryx2.toml";

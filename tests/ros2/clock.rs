@@ -5,12 +5,12 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use serde_json::json;
-use sweepd_lab::testkit::{PATIENCE, Process};
+use sweepd_testkit::{PATIENCE, Process};
 
 use super::alone;
-use super::common::setup::sweepd;
 use super::peer::Peer;
 use super::world::{World, vlp16};
+use sweepd_testkit::setup::sweepd;
 
 /// DDS domain of this test.
 const DOMAIN: u32 = 87;

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
-use sweepd_lab::testkit::PATIENCE;
+use sweepd_testkit::PATIENCE;
 
 use super::alone;
 use super::expected::{Consumer, decode_raw};

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use serde_json::json;
-use sweepd_lab::testkit::{PATIENCE, Signal};
+use sweepd_testkit::{PATIENCE, Signal};
 
 use super::alone;
 use super::expected::Consumer;

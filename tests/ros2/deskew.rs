@@ -12,15 +12,15 @@ use sweepd::input::write::Addressed;
 use sweepd::sensor::Model;
 use sweepd::sweep::Pose;
 use sweepd_lab::simulate::Emitter;
-use sweepd_lab::testkit::{PATIENCE, Process};
+use sweepd_testkit::{PATIENCE, Process};
 
 use super::alone;
-use super::common::setup::sweepd;
-use super::common::wall::{MOUNT, TURN, VELOCITY, drive, off_the_wall, robot};
 use super::events::{number, values};
 use super::expected::STEP;
 use super::peer::{Peer, Said};
 use super::world::World;
+use sweepd_testkit::setup::sweepd;
+use sweepd_testkit::wall::{MOUNT, TURN, VELOCITY, drive, off_the_wall, robot};
 
 /// DDS domains of these tests.
 const DDS_DOMAIN: u32 = 100;

@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use serde_json::{Value, json};
 use sweepd::host::realtime_ns;
-use sweepd_lab::testkit::{PATIENCE, Signal};
+use sweepd_testkit::{PATIENCE, Signal};
 
 use super::alone;
 use super::peer::Peer;

@@ -6,7 +6,7 @@
 use std::process::{Command, Stdio};
 
 use serde_json::json;
-use sweepd_lab::testkit::Process;
+use sweepd_testkit::Process;
 
 use super::alone;
 use super::crowd::{listen, lost_of_each};

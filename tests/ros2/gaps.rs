@@ -7,7 +7,7 @@ use std::thread::sleep;
 use std::time::{Duration, SystemTime};
 
 use serde_json::json;
-use sweepd_lab::testkit::{Daemon, PATIENCE, Process, Signal};
+use sweepd_testkit::{Daemon, PATIENCE, Process, Signal};
 
 use super::network::Network;
 use super::peer::Peer;

@@ -8,8 +8,6 @@
 
 mod clock;
 mod clouds;
-#[path = "../common/mod.rs"]
-mod common;
 mod crowd;
 mod deskew;
 mod events;

@@ -6,7 +6,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use serde_json::json;
-use sweepd_lab::testkit::Process;
+use sweepd_testkit::Process;
 
 use super::alone;
 use super::expected::Consumer;

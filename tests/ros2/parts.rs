@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use serde_json::json;
 use sweepd::sweep::layout::flags;
-use sweepd_lab::testkit::PATIENCE;
+use sweepd_testkit::PATIENCE;
 
 use super::alone;
 use super::events::{number, values};

@@ -10,7 +10,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
-use sweepd_lab::testkit::{PATIENCE, Process};
+use sweepd_testkit::{PATIENCE, Process};
 
 use super::world::on_domain;
 

@@ -5,9 +5,9 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
-use sweepd_lab::testkit::PATIENCE;
 use sweepd_messages::message_type::POINT_CLOUD;
 use sweepd_ros2::{DiscoveryRange, Environment, Node, Quality, Subscription};
+use sweepd_testkit::PATIENCE;
 
 use super::alone;
 use super::peer::Peer;

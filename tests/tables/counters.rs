@@ -2,8 +2,8 @@
 
 use std::process::Command;
 
-use sweepd_lab::testkit::daemon::run_command;
-use sweepd_lab::testkit::{Daemon, Process, ReservedPort, TempDomain, tool};
+use sweepd_testkit::daemon::run_command;
+use sweepd_testkit::{Daemon, Process, ReservedPort, TempDomain, tool};
 
 use super::peer::{Peer, RELIABLE};
 use super::scratch::{Row, program};

@@ -4,8 +4,8 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use sweepd_lab::testkit::daemon::run_command;
-use sweepd_lab::testkit::{Daemon, PATIENCE, ReservedPort, Signal, TempDomain};
+use sweepd_testkit::daemon::run_command;
+use sweepd_testkit::{Daemon, PATIENCE, ReservedPort, Signal, TempDomain};
 
 use super::scratch::{Row, program};
 

@@ -8,6 +8,4 @@ pub mod cast;
 pub mod cloud;
 pub mod score;
 pub mod simulate;
-#[cfg(feature = "testkit")]
-pub mod testkit;
 pub mod twin;

@@ -271,18 +271,20 @@ class Repository(unittest.TestCase):
 
     def test_each_crate_and_all_are_counted_without_tests(self):
         self.write(
-            "src/lib.rs", '#[cfg(test)]\nmod tests;\n#[cfg(feature = "testkit")]\npub mod testkit;\nmod a;\npub struct B;\n'
+            "src/lib.rs", '#[cfg(test)]\nmod tests;\n#[cfg(any(test, fuzzing))]\npub mod fuzz;\nmod a;\npub struct B;\n'
         )
         self.write("src/tests.rs", "fn c() {}\n")
-        self.write("src/testkit/mod.rs", "mod tests;\n")
+        self.write("src/fuzz/mod.rs", "mod tests;\n")
         self.write("src/i/mod.rs", "#[cfg(any(test, fuzzing))]\nmod j;\n")
         self.write("src/i/j.rs", "fn k() {}\n")
-        self.write("src/testkit/d.rs", "fn e() {}\n")
+        self.write("src/fuzz/d.rs", "fn e() {}\n")
         self.write("src/a.rs", "#[cfg(test)]\nmod f;\nmod tests;\n// why\n")
         self.write("src/a/f.rs", "fn g() {}\n")
         self.write("src/a/tests.rs", "pub struct B;\n")
         self.write("build.rs", "fn main() {}\n")
         self.write("tests/it.rs", "fn h() {}\n")
+        self.write("crates/sweepd-testkit/Cargo.toml", '[package]\nname = "sweepd-testkit"\n')
+        self.write("crates/sweepd-testkit/src/lib.rs", "pub struct B;\n")
         self.write("crates/sweepd-client/src/lib.rs", "struct B;\nstruct B;\n")
         subprocess.run(["cargo", "generate-lockfile", "--quiet", "--offline"], cwd=self.root, check=True)
         self.cargo.stop()

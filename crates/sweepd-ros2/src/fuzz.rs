@@ -2,10 +2,6 @@
 
 use crate::{health, parameters};
 
-#[cfg(test)]
-#[path = "../../sweepd-lab/src/testkit/mutate.rs"]
-mod mutate;
-
 /// A way in, and inputs that make sense to it.
 struct Target {
     #[cfg_attr(test, allow(dead_code))]
@@ -64,6 +60,7 @@ mod tests {
     use super::*;
     use fastrand::Rng;
     use std::panic;
+    use sweepd_testkit::mutate::mutated;
 
     /// Changed inputs for each target.
     const ROUNDS: usize = 500;
@@ -75,7 +72,7 @@ mod tests {
             seeds.iter().for_each(|seed| run(seed.as_bytes()));
             for _ in 0..ROUNDS {
                 let [one, other] = [(); 2].map(|()| seeds[rng.usize(..seeds.len())].as_bytes());
-                let input = mutate::mutated(&mut rng, one, other);
+                let input = mutated(&mut rng, one, other);
                 let done = panic::catch_unwind(|| run(&input));
                 assert!(done.is_ok(), "\"{}\"", input.escape_ascii());
             }

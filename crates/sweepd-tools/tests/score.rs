@@ -1,9 +1,6 @@
 //! `sweepd score`: by hand on a small made scene, against an evaluator by others on real scans, and
 //! over methods.
 
-#[path = "../../../tests/common/mod.rs"]
-mod common;
-
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -672,8 +669,8 @@ fn baselines_by_hand() {
 
 /// The shared scans of SemanticKITTI, linked into a folder, and the evaluator.
 fn real(folder: &Folder) -> (std::ffi::OsString, PathBuf) {
-    let data = common::data_dir();
-    let python = common::python_with_numpy();
+    let data = sweepd_testkit::data_dir();
+    let python = sweepd_testkit::python_with_numpy();
     let evaluator = data.join("../tools/segquality.py");
     std::os::unix::fs::symlink(
         data.join("labelled/semantickitti").canonicalize().unwrap(),

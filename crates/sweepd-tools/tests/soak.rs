@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use sweepd_client::client::Domain;
 use sweepd_client::domain::SHARED_MEMORY;
-use sweepd_lab::testkit::{PATIENCE, Process};
+use sweepd_testkit::{PATIENCE, Process};
 
 const ARGS: [&str; 8] = [
     "--hours",

@@ -57,7 +57,7 @@ mod tests {
     use sweepd_core::pipeline::Pipeline;
     use sweepd_core::wire::data::ReturnMode;
     use sweepd_lab::simulate::{Emitter, EmitterConfig, street};
-    use sweepd_lab::testkit::stream::next_sweep;
+    use sweepd_testkit::stream::next_sweep;
 
     /// Notes how much is asked for.
     struct Measuring(HeapBuffers, Arc<Mutex<usize>>);

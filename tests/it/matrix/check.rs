@@ -12,7 +12,7 @@ use sweepd_lab::simulate::{Damage, PacketPart, PacketTruth};
 
 use super::stream::{Made, Promise, Told};
 use super::table::Row;
-use crate::common::run::{AT_FAR_M, Placed, Run, Runner, range_m, walk_ns};
+use sweepd_testkit::run::{AT_FAR_M, Placed, Run, Runner, range_m, walk_ns};
 
 /// Flags that tell of a fault.
 const FAULTS: u32 = PARTIAL | BLANKED | RATE_UNSTABLE | STOPPED;

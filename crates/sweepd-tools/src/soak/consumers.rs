@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use fastrand::Rng;
 use rustix::process::Signal;
 use sweepd_client::client::{Client, ClientError, Domain, Next, Sweep};
-use sweepd_lab::testkit::{Failure, Process, cannot};
+use sweepd_testkit::{Failure, Process, cannot};
 
 use super::sensors::SENSORS;
 

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use fastrand::Rng;
 use rustix::process::Signal;
 use rustix::thread::{CpuSet, sched_setaffinity};
-use sweepd_lab::testkit::{Failure, PATIENCE, cannot};
+use sweepd_testkit::{Failure, PATIENCE, cannot};
 
 use super::feed::{Feed, SensorFault, WITHIN_A_TURN};
 use super::run::{EPISODE, Soak};

@@ -46,7 +46,7 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::flag;
 
 use sweepd::cli::{CliError, complain};
-use sweepd_lab::testkit::{Failure, cannot};
+use sweepd_testkit::{Failure, cannot};
 
 pub use args::Args;
 use run::Outcome;

@@ -13,8 +13,8 @@ use sweepd_core::sensor::Model;
 use sweepd_core::sensor::ros_yaml;
 use sweepd_core::wire::data::ReturnMode;
 use sweepd_lab::simulate::EmitterConfig;
-use sweepd_lab::testkit::daemon::run_command;
-use sweepd_lab::testkit::{Daemon, Failure, PATIENCE, ReservedPort, TempDomain, cannot};
+use sweepd_testkit::daemon::run_command;
+use sweepd_testkit::{Daemon, Failure, PATIENCE, ReservedPort, TempDomain, cannot};
 
 use super::args::Args;
 use super::consumers::{ConsumerPool, ConsumerStats, POOL_PER_SENSOR, SteadyConsumer};

@@ -5,7 +5,7 @@ use std::io;
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
-use sweepd_lab::testkit::TempDomain;
+use sweepd_testkit::TempDomain;
 
 /// What a process takes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

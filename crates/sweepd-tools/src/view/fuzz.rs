@@ -167,7 +167,7 @@ pub const VIEWERS: [&[u8]; 2] = [
 mod tests {
     use super::*;
     use fastrand::Rng;
-    use sweepd_lab::testkit::mutate::mutated;
+    use sweepd_testkit::mutate::mutated;
 
     /// Connections for each target.
     const ROUNDS: usize = 300;

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use crate::common::hdl64::{calibration_yaml, elevation_deg};
 use crate::{Folder, Ran, inspect, sweepd};
+use sweepd_testkit::hdl64::{calibration_yaml, elevation_deg};
 
 const FIRINGS: usize = 2083;
 

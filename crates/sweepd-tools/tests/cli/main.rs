@@ -1,7 +1,5 @@
 //! The laboratory as a user meets it, by `sweepd` and alone.
 
-#[path = "../../../../tests/common/mod.rs"]
-mod common;
 mod from_cloud;
 mod pages;
 mod segment;
@@ -9,4 +7,4 @@ mod simulate;
 mod started;
 mod truth;
 
-use common::command::*;
+use sweepd_testkit::command::*;

@@ -6,9 +6,9 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::common::{program, root, temp_domain};
 use crate::{Folder, Ran, command, sweepd};
-use sweepd_lab::testkit::tool;
+use sweepd_testkit::tool;
+use sweepd_testkit::{program, root, temp_domain};
 
 const HEAD: &str = "# Commands\n\nWhat `--help` says of each command. `SWEEPD_WRITE_PAGES=1 cargo test -p sweepd-tools --test cli \
                     commands_page` writes this page.\n";

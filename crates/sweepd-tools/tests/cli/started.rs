@@ -8,10 +8,10 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use sweepd::cli::tools::TOOLS;
-use sweepd_lab::testkit::{Signal, tool};
+use sweepd_testkit::{Signal, tool};
 
-use crate::common::program;
 use crate::{Folder, Ran, sweepd};
+use sweepd_testkit::program;
 
 /// A folder in which programs run: where `sweepd` is, so that it can be linked.
 fn programs() -> Folder {

@@ -4,7 +4,7 @@
 use std::time::Instant;
 
 use fastrand::Rng;
-use sweepd_lab::testkit::mutate::mutated;
+use sweepd_testkit::mutate::mutated;
 
 use super::*;
 

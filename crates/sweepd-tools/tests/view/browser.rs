@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
 use serde_json::{Value, json};
-use sweepd_lab::testkit::daemon::run_command;
-use sweepd_lab::testkit::{Daemon, PATIENCE, Process, ReservedPort, TempDomain};
+use sweepd_testkit::daemon::run_command;
+use sweepd_testkit::{Daemon, PATIENCE, Process, ReservedPort, TempDomain};
 use tempfile::TempDir;
 use tokio::net::TcpStream;
 use tokio::runtime::{Builder, Runtime};
@@ -23,7 +23,6 @@ use tokio_tungstenite::{WebSocketStream, client_async_with_config};
 use sweepd::sweep::SweepRef;
 
 use crate::captures::{assert_same, fixture};
-use crate::common;
 use crate::page::{View, aligned};
 
 pub const SHOWN: &str = "window.sweepd?.frames > 0 && window.sweepd.points > 0";
@@ -352,7 +351,7 @@ fn from_base64(text: &str) -> Vec<u8> {
 }
 
 fn sweepd(args: &[&str]) {
-    let output = common::sweepd(args).output().unwrap();
+    let output = sweepd_testkit::sweepd(args).output().unwrap();
     assert!(output.status.success(), "{args:?}: {output:?}");
 }
 
@@ -882,7 +881,7 @@ impl Robot {
             position.number(),
         );
         fs::write(&config, text).unwrap();
-        let program = common::program();
+        let program = sweepd_testkit::program();
         let daemon = Daemon::start(&mut run_command(&program, &config), http.address()).unwrap();
         let capture = own.path("sensor.pcap");
         let capture = capture.to_str().unwrap();

@@ -10,7 +10,7 @@ use sweepd::input::{Capture, PcapWriter};
 use sweepd::pipeline::Config;
 use sweepd::sweep::SweepMut;
 use sweepd::sweep::layout::flags;
-use sweepd_lab::testkit::TempDomain;
+use sweepd_testkit::TempDomain;
 
 use crate::browser::Tab;
 use crate::captures::{fixture, sweeps};

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 use std::time::{Duration, Instant};
-use sweepd_lab::testkit::stream::next_sweep;
+use sweepd_testkit::stream::next_sweep;
 
 use serde_json::json;
 use sweepd::buffers::{HeapBuffers, Memory};
@@ -14,8 +14,8 @@ use sweepd::sweep::layout::flags;
 use sweepd_lab::simulate::unit::unit;
 use zerocopy::IntoBytes;
 
-use crate::common::root;
 use crate::page::View;
+use sweepd_testkit::root;
 
 type Buffer = <HeapBuffers as sweepd::buffers::Buffers>::Buffer;
 

@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
-use sweepd_lab::testkit::{PATIENCE, Process};
+use sweepd_testkit::{PATIENCE, Process};
 use tempfile::TempDir;
 
 use crate::browser::{SHOWN, Tab, keep_picture, over};

@@ -9,8 +9,8 @@ use sweepd::pipeline::Config;
 use sweepd::sensor::Model;
 use sweepd::sweep::SweepRef;
 use sweepd::wire::data::ReturnMode;
-use sweepd_lab::testkit::TempDomain;
-use sweepd_lab::testkit::stream::Spin;
+use sweepd_testkit::TempDomain;
+use sweepd_testkit::stream::Spin;
 use tokio_tungstenite::tungstenite::Message;
 
 use crate::captures::{fixture, sweeps};
@@ -207,10 +207,9 @@ mod peer {
     use std::process::{Command, Stdio};
     use std::sync::mpsc::{Receiver, channel};
 
-    use sweepd_lab::testkit::{PATIENCE, Process};
+    use sweepd_testkit::{PATIENCE, Process};
 
     use super::*;
-    use crate::common;
 
     /// Foxglove's own client, which subscribes to all that is offered.
     struct Peer {
@@ -274,7 +273,7 @@ mod peer {
     fn recorded(args: &[&str]) -> Vec<(String, String, String)> {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("sweeps.mcap");
-        let mut command = common::sweepd(&[&["replay"], args].concat());
+        let mut command = sweepd_testkit::sweepd(&[&["replay"], args].concat());
         let output = command.arg("--mcap").arg(&file).output().unwrap();
         assert!(output.status.success(), "{output:?}");
         let bytes = std::fs::read(&file).unwrap();

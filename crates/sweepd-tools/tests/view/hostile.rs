@@ -9,8 +9,8 @@ use serde_json::json;
 use tokio_tungstenite::tungstenite::Message;
 
 use crate::captures::fixture;
-use crate::common::root;
 use crate::page::{Page, View};
+use sweepd_testkit::root;
 
 fn view() -> View {
     View::start(&[&fixture("street_vlp16.pcap.gz")])

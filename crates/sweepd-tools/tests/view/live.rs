@@ -9,7 +9,7 @@ use sweepd::host::realtime_ns;
 use sweepd::pipeline::Config;
 use sweepd::publish::{Domain, Loans, ServiceSettings, Topic};
 use sweepd::sweep::{SweepMut, SweepRef};
-use sweepd_lab::testkit::TempDomain;
+use sweepd_testkit::TempDomain;
 
 use crate::captures::{fixture, sweeps};
 use crate::page::{Page, View};

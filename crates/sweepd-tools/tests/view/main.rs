@@ -10,8 +10,6 @@ mod camera;
 mod captures;
 #[cfg(feature = "slow-tests")]
 mod colours;
-#[path = "../../../../tests/common/mod.rs"]
-mod common;
 #[cfg(feature = "slow-tests")]
 mod firefox;
 mod foxglove;

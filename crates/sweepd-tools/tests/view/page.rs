@@ -9,7 +9,7 @@ use futures_util::{SinkExt, StreamExt};
 use serde_json::{Value, json};
 use sweepd::buffers::{Buffers, HeapBuffers};
 use sweepd::sweep::SweepRef;
-use sweepd_lab::testkit::{PATIENCE, Process};
+use sweepd_testkit::{PATIENCE, Process};
 use tokio::runtime::{Builder, Runtime};
 use tokio::time::timeout;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
@@ -17,7 +17,7 @@ use tokio_tungstenite::tungstenite::http::HeaderValue;
 use tokio_tungstenite::tungstenite::{Error, Message};
 use tokio_tungstenite::{WebSocketStream, client_async};
 
-use crate::common::root;
+use sweepd_testkit::root;
 
 /// The server.
 pub struct View {

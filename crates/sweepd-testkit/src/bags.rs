@@ -2,7 +2,7 @@
 
 use std::io::Write;
 
-use sweepd_lab::testkit::scan::Stamped;
+use crate::scan::Stamped;
 
 /// The type of the messages, as ROS 1 names it.
 pub const ROS1_SCAN: &str = "velodyne_msgs/VelodyneScan";

@@ -68,7 +68,7 @@ pub fn compile(compiler: &str, options: &[&str], source: &Path, program: &Path) 
 /// `library.c`, compiled into a folder.
 pub fn c_program(folder: &Path) -> PathBuf {
     let program = folder.join("library");
-    let source = root().join("tests/common/library.c");
+    let source = root().join("crates/sweepd-testkit/src/library.c");
     compile("cc", &["-std=c99"], &source, &program);
     program
 }

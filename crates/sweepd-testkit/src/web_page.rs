@@ -51,12 +51,14 @@ pub struct WebPage {
     server: Option<JoinHandle<()>>,
 }
 
-impl WebPage {
+impl Default for WebPage {
     /// A VLP-16 as it leaves the factory.
-    pub fn new() -> Self {
+    fn default() -> Self {
         Self::with(None)
     }
+}
 
+impl WebPage {
     /// One that fails from its first request on.
     pub fn failing(fault: Fault) -> Self {
         Self::with(Some((None, fault)))

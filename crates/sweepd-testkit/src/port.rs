@@ -55,6 +55,14 @@ impl ReservedPort {
     }
 }
 
+/// A port of loopback, free for UDP and TCP, that no other test gets before this process ends.
+pub fn free_port() -> u16 {
+    let port = ReservedPort::new().unwrap();
+    let number = port.number();
+    std::mem::forget(port);
+    number
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,8 +1,5 @@
 //! A daemon on loopback, its sensor and its consumers, each in a process of its own.
 
-// Each test uses its part of this.
-#![allow(dead_code)]
-
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
@@ -14,7 +11,7 @@ use sweepd::client::{Client, Domain};
 
 use super::free_port;
 use super::temp_domain;
-use sweepd_lab::testkit::TempDomain;
+use crate::TempDomain;
 
 /// Longer than anything takes on a busy machine.
 pub const SOON: Duration = Duration::from_secs(10);

@@ -1,9 +1,9 @@
 //! When the packet that completes a sweep is expected.
 
+use crate::stream::next_sweep;
 use sweepd::buffers::{HeapBuffers, Memory};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::wire::Datagram;
-use sweepd_lab::testkit::stream::next_sweep;
 
 /// Of each sweep: by how much the packet that completed it came after it was expected, as was said
 /// after each packet before, nanoseconds.

@@ -45,7 +45,11 @@ fn built(folder: &Path, workspace: &Path, name: &str) -> Result<PathBuf, Failure
             (name, of_bridge)
         }
         _ => {
-            let more = ["crates/sweepd-lab", "crates/sweepd-tools"];
+            let more = [
+                "crates/sweepd-lab",
+                "crates/sweepd-testkit",
+                "crates/sweepd-tools",
+            ];
             ("sweepd-tools", [&DRIVER[..], &more].concat())
         }
     };
@@ -118,6 +122,7 @@ mod tests {
         let root = workspace.path();
         let more = [
             "crates/sweepd-lab",
+            "crates/sweepd-testkit",
             "crates/sweepd-tools",
             "crates/sweepd-ros2",
         ];

@@ -63,6 +63,11 @@ impl Drop for TempDomain {
     }
 }
 
+/// A domain that no other test uses, with a folder. Both go when it is dropped.
+pub fn temp_domain() -> TempDomain {
+    TempDomain::new("sweepd-").unwrap()
+}
+
 /// The files of a domain in shared memory.
 pub fn shared_memory(domain: &Domain) -> Vec<PathBuf> {
     let prefix = domain.prefix();

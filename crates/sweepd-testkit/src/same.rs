@@ -1,9 +1,6 @@
 //! What of a sweep must be the same wherever its packets go: all but what the layout names as the
 //! host's.
 
-// Each test uses its part of this.
-#![allow(dead_code)]
-
 use sweepd::sweep::{Column, SweepRef};
 use zerocopy::IntoBytes;
 

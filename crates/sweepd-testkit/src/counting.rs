@@ -1,13 +1,11 @@
-//! An allocator that counts: whoever includes this file allocates through it.
-
-// Each test uses its part of this.
-#![allow(dead_code)]
+//! An allocator that counts. A program that has it says so: `#[global_allocator]`.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-struct Counting;
+/// The allocator of the system, counted.
+pub struct Counting;
 
 /// Allocations of the whole program so far.
 pub static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
@@ -36,6 +34,3 @@ unsafe impl GlobalAlloc for Counting {
         unsafe { System.dealloc(pointer, layout) }
     }
 }
-
-#[global_allocator]
-static COUNTING: Counting = Counting;

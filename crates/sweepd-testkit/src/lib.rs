@@ -1,21 +1,41 @@
-//! Shared by the tests and `sweepd-lab soak`: a temporary domain, reserved ports, a daemon in a process
-//! of its own, packet streams and messages made by hand, and programs that are built elsewhere.
+//! The test kit: what the tests of all crates share, and `sweepd-lab soak` with them. Temporary domains, reserved
+//! ports, programs in processes of their own, packets, captures and bags made by hand, and readers that share no code
+//! with the driver.
 
+pub mod bags;
+pub mod command;
+pub mod counting;
 pub mod daemon;
 pub mod domain;
+pub mod due;
+pub mod hdl64;
+pub mod library;
 pub mod mutate;
+pub mod npy;
+pub mod objects;
 pub mod port;
 pub mod process;
+pub mod python;
+pub mod raw;
+pub mod repository;
+pub mod run;
+pub mod same;
 pub mod scan;
+pub mod setup;
+pub mod simulated;
 pub mod stream;
 pub mod tool;
+pub mod wall;
+pub mod web_page;
 
 use std::fmt::{self, Debug, Display, Formatter};
 
 pub use daemon::Daemon;
-pub use domain::TempDomain;
-pub use port::ReservedPort;
+pub use domain::{TempDomain, temp_domain};
+pub use port::{ReservedPort, free_port};
 pub use process::{PATIENCE, Process};
+pub use python::{python, python_package, python_with_numpy};
+pub use repository::{HDL64E_UNITS, data_dir, data_dir_if_any, is_root, program, root, sweepd};
 pub use rustix::process::Signal;
 pub use tool::tool;
 

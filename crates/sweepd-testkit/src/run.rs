@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 use std::path::Path;
 
+use crate::stream::push;
 use sweepd::admission::{DiscoveredSensors, Refused};
 use sweepd::buffers::HeapBuffer;
 use sweepd::buffers::{HeapBuffers, Memory};
@@ -14,7 +15,6 @@ use sweepd::sensor::unit::Unit;
 use sweepd::sweep::{Return, SweepRef};
 use sweepd::wire::Datagram;
 use sweepd::wire::data::{RECORDS, ReturnMode};
-use sweepd_lab::testkit::stream::push;
 
 use super::objects::{Listener, Tally};
 
