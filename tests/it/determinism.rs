@@ -1,7 +1,7 @@
 //! The same packets give the same sweeps, byte for byte: on every machine, whenever they arrive,
 //! however often the pipeline is asked, and whoever else is there. What may differ is on one list,
 //! [`HOST_FIELDS`], by which the bytes are masked. Live through the daemon, and replayed at any
-//! speed: `tests/live/equal.rs`.
+//! speed: `tests/slow/live/equal.rs`.
 
 use std::sync::LazyLock;
 use sweepd_testkit::stream::next_sweep;

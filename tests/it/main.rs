@@ -8,6 +8,7 @@ mod dark_beams;
 mod decode;
 mod detect;
 mod determinism;
+mod eye;
 mod faults;
 mod field_of_view;
 mod fixtures;

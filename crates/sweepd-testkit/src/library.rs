@@ -28,6 +28,8 @@ fn build(what: &[&str]) {
     cargo
         .args("build --quiet --locked --offline --features slow-tests".split(' '))
         .args(what)
+        // Where .ci/run has it, it is for the times of tests: cargo would compile all again.
+        .env_remove("RUSTC_BOOTSTRAP")
         .current_dir(root());
     if !cfg!(debug_assertions) {
         cargo.arg("--release");

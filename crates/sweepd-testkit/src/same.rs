@@ -5,7 +5,7 @@ use sweepd::sweep::{Column, SweepRef};
 use zerocopy::IntoBytes;
 
 /// The bytes of a sweep with zeros for [`HOST_FIELDS`](sweepd::sweep::layout::HOST_FIELDS);
-/// `tests/live/consumer.py` has them in the same order.
+/// `tests/slow/live/consumer.py` has them in the same order.
 pub fn same(sweep: &SweepRef<'_>) -> Vec<u8> {
     let (header, columns) = (
         sweep.header.without_host(),

@@ -2,6 +2,7 @@
 
 mod from_cloud;
 mod pages;
+mod score;
 mod segment;
 mod simulate;
 mod started;

@@ -1,0 +1,4 @@
+//! Daemons in real time: minutes.
+
+mod failures;
+mod soak;
