@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use sweepd::sensor::ModelExt;
+use sweepd_testkit::cases;
 use sweepd_testkit::stream;
 
 use proptest::prelude::*;
@@ -1123,7 +1124,7 @@ fn exposed(head: &[Sent], then: Vec<DataPacket>, config: sweepd::pipeline::Confi
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 24, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: if cases::are_all() { 24 } else { 6 }, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn any_sequence_of_real_packets_keeps_the_promises(

@@ -20,6 +20,7 @@ use sweepd_lab::cloud::{COLUMNS, CloudProjector, points};
 use sweepd_lab::simulate::Setting;
 use sweepd_lab::twin;
 
+use sweepd_testkit::cases;
 use sweepd_testkit::run::Runner;
 use sweepd_testkit::simulated::Simulated;
 use sweepd_testkit::{data_dir, data_dir_if_any};
@@ -27,7 +28,7 @@ use sweepd_testkit::{data_dir, data_dir_if_any};
 /// Height, if one is said, and doubt.
 type Said = (Option<f32>, u32);
 
-/// Whether there is time for all cases.
+/// Whether there is time for more cases.
 const IS_SLOW: bool = cfg!(feature = "slow-tests");
 
 /// What a header says.
@@ -137,8 +138,9 @@ fn drawn(seed: u64) -> (Scene, Sensor, Mount) {
 #[test]
 fn drawn_scenes() {
     let mut kinds: BTreeMap<u32, usize> = BTreeMap::new();
-    let cases = if IS_SLOW { 1500 } else { 60 };
-    for case in 0..cases {
+    let cases = if IS_SLOW { 1500 } else { 480 };
+    for case in cases::chosen().take_while(|case| *case < cases) {
+        let case = case as u64;
         let (scene, mut sensor, said) = drawn(case);
         let config = Config {
             mount: said,
@@ -146,7 +148,7 @@ fn drawn_scenes() {
         };
         let mut held = Held::new(&config);
         let sector = Sector {
-            half_rad: if case % 5 == 0 { 1.0 } else { PI },
+            half_rad: if case.is_multiple_of(5) { 1.0 } else { PI },
             ..Sector::TURN
         };
         for seed in 1..=3 {
@@ -161,7 +163,10 @@ fn drawn_scenes() {
     // All doubts that one place can show; decks alone, and what is seen below a floor, are rare.
     let is_shown = |kind: &u32| kinds.contains_key(kind);
     assert!([1, 2, 5, 6, 7, 9].iter().all(is_shown), "{kinds:?}");
-    assert!(!IS_SLOW || [3, 4, 8].iter().all(is_shown), "{kinds:?}");
+    assert!(
+        !cases::are_all() || [3, 4, 8].iter().all(is_shown),
+        "{kinds:?}"
+    );
 }
 
 /// A sensor that is lifted, lowered or carried elsewhere now and then, for longer than looks are
@@ -169,7 +174,9 @@ fn drawn_scenes() {
 #[test]
 fn sensors_that_do_not_stay() {
     let mut kinds: BTreeMap<u32, usize> = BTreeMap::new();
-    for case in 0..if IS_SLOW { 60 } else { 1 } {
+    let cases = if IS_SLOW { 60 } else { 8 };
+    for case in cases::chosen().take_while(|case| *case < cases) {
+        let case = case as u64;
         let mut rng = Rng::with_seed(case);
         let (mut scene, mut sensor, said) = drawn(1_000 + case);
         let config = Config {
@@ -195,7 +202,10 @@ fn sensors_that_do_not_stay() {
         }
     }
     let is_shown = |kind: &u32| kinds.contains_key(kind);
-    assert!(!IS_SLOW || [0, 10, 11].iter().all(is_shown), "{kinds:?}");
+    assert!(
+        !cases::are_all() || [0, 10, 11].iter().all(is_shown),
+        "{kinds:?}"
+    );
 }
 
 /// What a pipeline wrote, which begins turns before they are complete, is what all say.
@@ -227,7 +237,12 @@ fn simulated_sensors() {
                 for (height, height_m) in [None, Some(0.8), Some(2.4)].into_iter().enumerate() {
                     let case = number + other + 3 * way + height;
                     // Of each model and each setting two.
-                    if !IS_SLOW && (number != other || case % 3 != 0) {
+                    let is_chosen = if IS_SLOW {
+                        cases::has(number + other + 6 * (way + 2 * height))
+                    } else {
+                        number == other && case % 3 == 0
+                    };
+                    if !is_chosen {
                         continue;
                     }
                     let said = Mount {
@@ -283,7 +298,7 @@ fn heights_of_simulated_scenes_are_right_or_in_doubt() {
     ];
     let mut found = [Found::default(), Found::default()];
     for setting in Setting::ALL {
-        for model in &models[..if IS_SLOW { models.len() } else { 2 }] {
+        for model in &models[..if cases::are_all() { models.len() } else { 2 }] {
             for height_m in [0.3, 0.8, 1.2, 2.0] {
                 for (found, roll_rad) in found.iter_mut().zip([0.0, PI as f32]) {
                     let mount = Mount {
@@ -294,7 +309,7 @@ fn heights_of_simulated_scenes_are_right_or_in_doubt() {
                     // Most are wrong where walls are near.
                     let is_corridor = setting.name() == "corridor";
                     let is_possible = setting.mounted(&setting.build(2), 0, &mount).is_ok();
-                    if is_possible && (IS_SLOW || is_corridor) {
+                    if is_possible && (cases::are_all() || is_corridor) {
                         let said = Mount {
                             height_m: None,
                             ..mount
@@ -316,7 +331,7 @@ fn heights_of_simulated_scenes_are_right_or_in_doubt() {
         println!("{way}: {right} of {of} right, {sure} of these sure; wrong and sure: {wrong:?}");
     }
     // From 2 m up between walls, some see no floor.
-    let least_percent = if IS_SLOW { [95, 83] } else { [75, 60] };
+    let least_percent = if cases::are_all() { [95, 83] } else { [75, 60] };
     for (found, least_percent) in found.iter().zip(least_percent) {
         assert!(100 * found.right >= least_percent * found.of);
         assert!(100 * found.sure >= (least_percent - 2) * found.of);

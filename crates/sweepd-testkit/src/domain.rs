@@ -9,6 +9,8 @@ use sweepd_client::client::Domain;
 use sweepd_client::domain::SHARED_MEMORY;
 use tempfile::{Builder, TempDir};
 
+use crate::pool;
+
 /// A folder that only this user can read, with the root of a domain in it. When it is dropped, the
 /// folder goes, and so do the files that the domain left in shared memory.
 #[derive(Debug)]
@@ -23,6 +25,7 @@ impl TempDomain {
     /// # Errors
     /// The system refuses.
     pub fn new(prefix: &str) -> io::Result<Self> {
+        pool::share();
         let folder = Builder::new()
             .prefix(prefix)
             .permissions(Permissions::from_mode(0o700))

@@ -3,6 +3,7 @@
 //! with the driver.
 
 pub mod bags;
+pub mod cases;
 pub mod command;
 pub mod counting;
 pub mod daemon;
@@ -13,6 +14,7 @@ pub mod library;
 pub mod mutate;
 pub mod npy;
 pub mod objects;
+pub mod pool;
 pub mod port;
 pub mod process;
 pub mod python;
@@ -32,6 +34,7 @@ use std::fmt::{self, Debug, Display, Formatter};
 
 pub use daemon::Daemon;
 pub use domain::{TempDomain, temp_domain};
+pub use pool::{Alone, alone};
 pub use port::{ReservedPort, free_port};
 pub use process::{PATIENCE, Process};
 pub use python::{python, python_package, python_with_numpy};

@@ -6,6 +6,8 @@ use std::ops::Range;
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 
+use crate::pool;
+
 /// Below the ports that Linux hands out by itself, so that no other socket gets one by chance.
 const PORTS: Range<u16> = 20_000..30_000;
 const ATTEMPTS: usize = 1_000;
@@ -27,6 +29,7 @@ impl ReservedPort {
     /// # Errors
     /// None is free.
     pub fn new() -> io::Result<Self> {
+        pool::share();
         (0..ATTEMPTS)
             .find_map(|_| Self::reserve(fastrand::u16(PORTS)))
             .ok_or_else(|| io::Error::new(io::ErrorKind::AddrInUse, "no free port"))

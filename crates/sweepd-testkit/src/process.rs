@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
 
-use super::{Failure, cannot};
+use super::{Failure, cannot, pool};
 
 /// Time limit, longer than a healthy program needs on a busy machine to start, to answer, or to
 /// end.
@@ -45,6 +45,7 @@ impl Process {
     /// # Errors
     /// The system refuses.
     pub fn start(command: &mut Command) -> io::Result<Self> {
+        pool::share();
         let mut child = command
             .stdin(Stdio::null())
             .stderr(Stdio::piped())

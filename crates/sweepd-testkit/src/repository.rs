@@ -5,7 +5,7 @@ use std::process::Command;
 
 use sweepd::cli::tools::TOOLS;
 
-use crate::tool;
+use crate::{pool, tool};
 
 /// The calibrations of real HDL-64E units among the shared data.
 pub const HDL64E_UNITS: [&str; 9] = [
@@ -34,6 +34,7 @@ pub fn program() -> PathBuf {
 /// The program `sweepd` with these arguments, in the folder of the repository. A command that is a
 /// tool is refused where the tool is missing or stale.
 pub fn sweepd(args: &[&str]) -> Command {
+    pool::share();
     let asked = TOOLS.iter().find(|one| args.first() == Some(&one.name));
     if let Some(asked) = asked {
         tool(asked.program);

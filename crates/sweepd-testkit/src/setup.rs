@@ -9,9 +9,7 @@ use std::time::{Duration, Instant};
 
 use sweepd::client::{Client, Domain};
 
-use super::free_port;
-use super::temp_domain;
-use crate::TempDomain;
+use crate::{TempDomain, free_port, pool, temp_domain};
 
 /// Longer than anything takes on a busy machine.
 pub const SOON: Duration = Duration::from_secs(10);
@@ -29,6 +27,7 @@ impl Process {
 
     /// Starts a program; its standard error goes to the end of the log.
     pub fn spawn(mut command: Command, log: &Path) -> Self {
+        pool::share();
         let log = std::fs::File::options()
             .create(true)
             .append(true)

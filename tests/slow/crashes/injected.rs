@@ -9,16 +9,13 @@ use std::time::{Duration, Instant};
 use std::{fmt, fs};
 
 use crate::crashes::{Files, Robot, SETTLE, files, no_more};
+use sweepd_testkit::cases;
 use sweepd_testkit::domain::clear;
 use sweepd_testkit::setup::{Process, SOON, Setup, Watch};
 
 /// The calls; not every machine has those with a question mark.
 const CALLS: &str = "openat,ftruncate,fchmod,?fchmodat,?chmod,write,?rename,?renameat,renameat2,bind,?unlink,unlinkat,\
                      fallocate,?mkdir,mkdirat";
-/// Environment variable: `all`, or which of each eight calls, from 0 to 7; the first where it is not set.
-const VARIABLE: &str = "SWEEPD_CALLS";
-/// Calls of which one is taken.
-const STRIDE: usize = 8;
 /// Kills after which the files are counted for the first time.
 const FEW: usize = 5;
 /// After this many faults the rest would only take time.
@@ -304,30 +301,20 @@ impl Round {
     }
 }
 
-/// The first call that `SWEEPD_CALLS` takes, and how far apart they are.
-fn chosen_calls() -> (usize, usize) {
-    let chosen = std::env::var(VARIABLE).unwrap_or_else(|_| "0".to_owned());
-    if chosen == "all" {
-        return (0, 1);
-    }
-    let first = chosen.parse().ok().filter(|first| *first < STRIDE);
-    (
-        first.unwrap_or_else(|| panic!("{VARIABLE} is `all`, or a number below {STRIDE}")),
-        STRIDE,
-    )
-}
-
 /// Kills a victim at its calls: at all in this many rounds side by side, at an eighth in one.
 fn kill_everywhere(victim: Victim, rounds: usize) {
-    let (first, stride) = chosen_calls();
     // With fewer kills each, their files would not be compared.
-    let rounds = if stride == 1 { rounds } else { 1 };
+    let rounds = if cases::are_all() { rounds } else { 1 };
     let points: Vec<Point> = {
         let mut robot = Robot::start();
         make_room(&mut robot, victim).unwrap();
         let all = points(&robot, victim);
         assert!(all.len() > 30, "only {all:?}");
-        all.into_iter().skip(first).step_by(stride).collect()
+        let numbered = (0..).zip(all);
+        numbered
+            .filter(|(number, _)| cases::has(*number))
+            .map(|(_, point)| point)
+            .collect()
     };
     let killed = AtomicUsize::new(0);
     let faults = std::thread::scope(|scope| {

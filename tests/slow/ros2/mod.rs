@@ -23,14 +23,13 @@ mod subscriptions;
 mod world;
 
 use std::process::{Command, Stdio};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use sweepd_testkit::Alone;
 
-/// Held by tests that need both cores.
-fn alone() -> MutexGuard<'static, ()> {
-    static ALONE: Mutex<()> = Mutex::new(());
-    let guard = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+/// Right of tests that need both cores.
+fn alone() -> Alone {
+    let alone = sweepd_testkit::alone();
     hurry("-10");
-    guard
+    alone
 }
 
 /// Where this is allowed, the threads and processes that this thread starts go before those of

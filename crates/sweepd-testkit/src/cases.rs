@@ -1,0 +1,32 @@
+//! Which cases of a long test run: an eighth of them, another one each day that something lands, or all.
+
+use std::iter::StepBy;
+use std::ops::RangeFrom;
+
+/// Environment variable: `all`, or which of each eight cases, from 0 to 7; the first where it is not set.
+pub const VARIABLE: &str = "SWEEPD_EIGHTH";
+const STRIDE: usize = 8;
+
+/// Numbers of the cases, without an end.
+///
+/// # Panics
+/// The variable has another value.
+pub fn chosen() -> StepBy<RangeFrom<usize>> {
+    let chosen = std::env::var(VARIABLE).unwrap_or_else(|_| "0".to_owned());
+    if chosen == "all" {
+        return (0..).step_by(1);
+    }
+    let first = chosen.parse().ok().filter(|first| *first < STRIDE);
+    let first = first.unwrap_or_else(|| panic!("{VARIABLE} is `all`, or a number below {STRIDE}"));
+    (first..).step_by(STRIDE)
+}
+
+/// Whether all cases run.
+pub fn are_all() -> bool {
+    chosen().nth(1) == Some(1)
+}
+
+/// Whether this case runs.
+pub fn has(case: usize) -> bool {
+    chosen().find(|chosen| *chosen >= case) == Some(case)
+}
