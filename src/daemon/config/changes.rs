@@ -47,21 +47,22 @@ impl fmt::Display for Change {
     }
 }
 
+type Rule<C> = &'static ReloadRule<C>;
+
 /// The rules of some tables, what needs a restart first.
-fn rules<C>(tables: &[&Table<C>]) -> Vec<&'static ReloadRule<C>> {
+fn rules<C>(tables: &[&Table<C>]) -> Vec<Rule<C>> {
     let keys = tables.iter().flat_map(|table| table.keys);
-    let mut rules: Vec<&ReloadRule<C>> = keys.flat_map(|key| key.rules).collect();
+    let mut rules: Vec<Rule<C>> = keys.flat_map(|key| key.rules).collect();
     rules.sort_by_key(|rule| rule.takes);
     rules
 }
 
 /// The settings that differ, and what each takes.
-fn compare<C>(tables: &[&Table<C>], old: &C, new: &C) -> Vec<(&'static ReloadRule<C>, Effect)> {
+pub(super) fn compare<C>(tables: &[&Table<C>], old: &C, new: &C) -> Vec<(Rule<C>, Effect)> {
     let mut differing = rules(tables);
     differing.retain(|rule| !(rule.is_same)(old, new));
-    let is_other_sensor = differing
-        .iter()
-        .any(|rule| rule.takes == Takes::OtherSensor);
+    let mut takes = differing.iter().map(|rule| rule.takes);
+    let is_other_sensor = takes.any(|takes| takes == Takes::OtherSensor);
     let with_effects = differing.into_iter().map(|rule| match rule.takes {
         Takes::Reload => (rule, Effect::Reload),
         Takes::WithSensor if !is_other_sensor => (rule, Effect::Reload),
@@ -72,7 +73,7 @@ fn compare<C>(tables: &[&Table<C>], old: &C, new: &C) -> Vec<(&'static ReloadRul
 
 impl<T> ReloadRule<T> {
     /// What changes: `port 2368 -> 2369`.
-    fn change(&self, old: &T, new: &T) -> String {
+    pub(super) fn change(&self, old: &T, new: &T) -> String {
         let old = (self.show)(old);
         let new = (self.show)(new);
         // Of a file, only that there is one is shown.

@@ -223,7 +223,7 @@ fn is_same(one: &SensorConfig, other: &SensorConfig) -> bool {
 }
 
 impl<'t, C: Default> Written<'t, C> {
-    fn new(reader: &TableReader<'_, '_, 't>) -> Self {
+    pub(super) fn new(reader: &TableReader<'_, '_, 't>) -> Self {
         Self {
             config: C::default(),
             at: reader.span(),
@@ -233,7 +233,7 @@ impl<'t, C: Default> Written<'t, C> {
     }
 
     /// Sets what the keys of a table say.
-    fn read(&mut self, reader: &mut TableReader<'_, '_, 't>, table: &Table<C>) {
+    pub(super) fn read(&mut self, reader: &mut TableReader<'_, '_, 't>, table: &Table<C>) {
         for key in table.keys {
             if matches!(key.form, Form::Segmenter) {
                 continue;

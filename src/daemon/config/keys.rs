@@ -468,3 +468,73 @@ fn percent(share: &f64) -> String {
 fn milliseconds(nanoseconds: &i64) -> String {
     (nanoseconds / 1_000_000).to_string()
 }
+
+#[cfg(test)]
+mod tests {
+    use toml::de::DeTable;
+
+    use super::super::changes::{Effect, compare};
+    use super::super::error::Problems;
+    use super::super::file::Written;
+    use super::super::table::{FileProblems, TableReader};
+    use super::*;
+
+    #[derive(Default)]
+    pub struct Scratches {
+        min_gap_m: f32,
+    }
+
+    table! {
+        /// How scratches are found.
+        SCRATCHES: Scratches, "scratches" "[scratches]"
+
+        /// What is nearer than this is scratched together, metres.
+        scratch_m = 0.25, Number(0.0..=0.5, "metres", metres) [min_gap_m], Reload text;
+    }
+
+    /// What is written, and all that is wrong with it.
+    fn read(text: &str) -> (Scratches, String) {
+        let mut found = FileProblems::new(text, Path::new(""));
+        let mut reader = TableReader::of(DeTable::parse(text).unwrap(), &mut found);
+        let mut written = Written::new(&reader);
+        written.read(&mut reader, &SCRATCHES);
+        reader.finish();
+        let problems = [found.problems, found.values].concat();
+        let problems = Problems::new("sweepd.toml".to_owned(), text, problems);
+        (written.config, problems.to_string())
+    }
+
+    #[test]
+    fn a_row_is_enough_for_example_file_checks_and_reload() {
+        let example = "# How scratches are found.\n[scratches]\n\
+                       # What is nearer than this is scratched together, metres.\n#scratch_m = 0.25\n";
+        assert_eq!(SCRATCHES.example(), example);
+        for (line, words) in [
+            (
+                "scratch_m = 0.6",
+                ["`scratch_m` cannot be 0.6", "expected 0 to 0.5 metres"],
+            ),
+            (
+                "scratch_m = true",
+                ["wrong type: boolean `true`", "expected a number"],
+            ),
+            (
+                "scrath_m = 0.3",
+                ["unknown key `scrath_m`", "did you mean `scratch_m`?"],
+            ),
+        ] {
+            let (_, said) = read(line);
+            for part in words.into_iter().chain(["sweepd.toml:1:"]) {
+                assert!(said.contains(part), "no {part:?} in\n{said}");
+            }
+        }
+        let (mut old, _) = read("scratch_m = 0.25");
+        let (new, _) = read("scratch_m = 0.3");
+        let [(rule, Effect::Reload)] = &compare(&[&SCRATCHES], &old, &new)[..] else {
+            panic!("one change")
+        };
+        assert_eq!(rule.change(&old, &new), "scratch_m 0.25 -> 0.3");
+        (rule.take)(&mut old, &new);
+        assert_eq!(old.min_gap_m, 0.3);
+    }
+}
