@@ -464,6 +464,23 @@ mod tests {
     }
 
     #[test]
+    fn a_number_of_health_that_nobody_knows_is_told() {
+        let roof = json!({"name": "roof", "scratched": 271});
+        let ports = json!([{"name": "127.0.0.1:2368", "scrubbed": {"soap": 300}}]);
+        let said = Ok(json!({"sensors": [roof], "ports": ports}));
+        let at = SocketAddr::from(([127, 0, 0, 1], 9177));
+        let mut values = Values(of_daemon(at, &said).values);
+        values.add_numbers("daemon ", sensor(&said, "roof").unwrap());
+        for (key, value) in [
+            ("daemon scratched", "271"),
+            ("127.0.0.1:2368 scrubbed soap", "300"),
+        ] {
+            let told = (key.to_owned(), value.to_owned());
+            assert!(values.0.contains(&told), "{:?}", values.0);
+        }
+    }
+
+    #[test]
     fn a_daemon_of_another_root_is_not_this_one() {
         let (root, other) = (Path::new("/run/a"), Path::new("/run/b"));
         let said = json!({"root": "/run/a", "status": "ok", "sensors": [{"name": "roof"}]});

@@ -461,6 +461,10 @@ fn check_diagnostics(statuses: &Value) {
         "{values}"
     );
     assert!(number("markers computed") > 50.0, "{values}");
+    assert!(
+        number("daemon packets") > number("points computed"),
+        "{values}"
+    );
 }
 
 /// Where the configuration has the sensors, in the axes of ROS: by hand.

@@ -52,19 +52,20 @@ mod tests {
 
     #[test]
     fn a_total_that_falls_or_vanishes_is_named_and_what_is_no_total_may_fall() {
-        let (lost, rpm) = (
-            "sweepd_lost_total{sensor=\"vlp\"}",
+        // A total that no other code knows.
+        let (total, rpm) = (
+            "sweepd_scratched_total{sensor=\"vlp\"}",
             "sweepd_rpm{sensor=\"vlp\"}",
         );
         let recorded = "sweepd_recorded_total{}";
         let mut totals = Totals::default();
-        let first = metrics(&[(lost, 3.0), (rpm, 600.0), (recorded, 9.0)]);
+        let first = metrics(&[(total, 3.0), (rpm, 600.0), (recorded, 9.0)]);
         assert_eq!(totals.take(first), [""; 0]);
-        assert_eq!(totals.to_string(), format!("{lost} 3\n"));
-        assert_eq!(totals.take(metrics(&[(lost, 3.0), (rpm, 0.0)])), [""; 0]);
-        let fallen = totals.take(metrics(&[(lost, 2.0)]));
-        assert_eq!(fallen, [format!("{lost} fell from 3 to 2")]);
+        assert_eq!(totals.to_string(), format!("{total} 3\n"));
+        assert_eq!(totals.take(metrics(&[(total, 3.0), (rpm, 0.0)])), [""; 0]);
+        let fallen = totals.take(metrics(&[(total, 2.0)]));
+        assert_eq!(fallen, [format!("{total} fell from 3 to 2")]);
         let gone = totals.take(metrics(&[]));
-        assert_eq!(gone, [format!("{lost} fell from 2 to 0")]);
+        assert_eq!(gone, [format!("{total} fell from 2 to 0")]);
     }
 }
