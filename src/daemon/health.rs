@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use serde_json::{Value, json};
 
-use super::counter_table;
+use super::counter_table::{self, CounterTables};
 use super::record::RecordingsStatus;
 use super::runtime::{PortStatus, SensorStatus};
 use super::state::{Condition, State};
@@ -156,21 +156,14 @@ impl View {
         findings
     }
 
-    /// The state as JSON, and whether there is no fault.
-    pub fn report(&self) -> (bool, Value) {
+    /// The state as JSON, with these counters, and whether there is no fault.
+    pub fn report(&self, tables: CounterTables) -> (bool, Value) {
         let faults = self.faults();
         let warnings = self.warnings();
-        let sensors: Vec<Value> = self
-            .sensors
-            .iter()
-            .zip(&self.conditions)
-            .map(|(one, is)| sensor(one, is))
-            .collect();
-        let ports: Vec<Value> = self
-            .ports
-            .iter()
-            .map(|one| port(one, self.hanging.contains(&one.name)))
-            .collect();
+        let sensors = self.sensors.iter().zip(&self.conditions);
+        let sensors = sensors.map(|(one, is)| sensor(one, is, tables));
+        let ports = self.ports.iter();
+        let ports = ports.map(|one| port(one, self.hanging.contains(&one.name), tables));
         let is_well = faults.is_empty();
         let status = match warnings.is_empty() {
             _ if !is_well => "fault",
@@ -186,8 +179,8 @@ impl View {
             "version": crate::VERSION,
             "uptime_s": self.begun.elapsed().as_secs(),
             "root": self.root,
-            "sensors": sensors,
-            "ports": ports,
+            "sensors": sensors.collect::<Vec<_>>(),
+            "ports": ports.collect::<Vec<_>>(),
             "recording": self.recordings.configured,
             "on_demand_recordings": self.recordings.on_demand,
         });
@@ -211,7 +204,7 @@ pub(super) fn interface_gone(port: &PortStatus) -> String {
     )
 }
 
-fn sensor(sensor: &SensorStatus, is: &Condition) -> Value {
+fn sensor(sensor: &SensorStatus, is: &Condition, tables: CounterTables) -> Value {
     let counters = &sensor.counters;
     let mut report = json!({
         "name": sensor.name,
@@ -234,7 +227,7 @@ fn sensor(sensor: &SensorStatus, is: &Condition) -> Value {
         "sharing_trouble": sensor.sharing.trouble(),
         "renewed_because": sensor.sharing.renewed_because(),
     });
-    counter_table::report(counter_table::OF_SENSOR, sensor, &mut report);
+    counter_table::report(tables.of_sensor, sensor, &mut report);
     report
 }
 
@@ -248,7 +241,7 @@ fn losses(recent: Recent, words: Option<&[String; 2]>) -> Value {
     report
 }
 
-fn port(port: &PortStatus, hangs: bool) -> Value {
+fn port(port: &PortStatus, hangs: bool, tables: CounterTables) -> Value {
     let strangers = port.counters.strangers(realtime_ns());
     let mut report = json!({
         "name": port.name,
@@ -260,6 +253,6 @@ fn port(port: &PortStatus, hangs: bool) -> Value {
         "buffer_bytes_wanted": port.buffer.wanted_bytes,
         "strangers": strangers.iter().map(Stranger::json).collect::<Vec<_>>(),
     });
-    counter_table::report(counter_table::OF_PORT, port, &mut report);
+    counter_table::report(tables.of_port, port, &mut report);
     report
 }

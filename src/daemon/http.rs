@@ -23,6 +23,7 @@ use hyper_util::rt::TokioIo;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::time::timeout;
 
+use super::counter_table::COUNTERS;
 use super::health::View;
 use super::metrics;
 use crate::http::{self, PATIENCE, ip_of, is_localhost, response, text};
@@ -82,7 +83,7 @@ fn answer(
     let view = view.lock().unwrap_or_else(PoisonError::into_inner);
     match request.uri().path() {
         "/health" => {
-            let (is_well, report) = view.report();
+            let (is_well, report) = view.report(COUNTERS);
             let status = if is_well {
                 StatusCode::OK
             } else {
@@ -90,7 +91,7 @@ fn answer(
             };
             response(status, "application/json", format!("{report:#}\n"))
         }
-        "/metrics" => match metrics::encode(&view) {
+        "/metrics" => match metrics::encode(&view, COUNTERS) {
             Ok(text) => response(StatusCode::OK, metrics::CONTENT_TYPE, text),
             Err(_) => text(
                 StatusCode::INTERNAL_SERVER_ERROR,

@@ -11,7 +11,7 @@ use prometheus_client::encoding::{
 use prometheus_client::metrics::MetricType;
 use prometheus_client::registry::{Registry, Unit};
 
-use super::counter_table::{Counter, OF_PORT, OF_SENSOR, Read};
+use super::counter_table::{Counter, CounterTables, Read};
 use super::counters::{Gps, Stage};
 use super::health::View;
 use super::record::RecordingsStatus;
@@ -25,12 +25,13 @@ use Metric::{Now, Total};
 /// What [`encode`] writes.
 pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// All metrics of this moment, in the OpenMetrics text format.
+/// All metrics of this moment, these counters first, in the OpenMetrics text format.
 ///
 /// # Errors
 /// Errors of the writer only; all values fit the format.
-pub fn encode(view: &View) -> Result<String, fmt::Error> {
+pub fn encode(view: &View, tables: CounterTables) -> Result<String, fmt::Error> {
     let snapshot = Snapshot {
+        tables,
         sensors: Arc::clone(&view.sensors),
         ports: Arc::clone(&view.ports),
         conditions: view.conditions.clone(),
@@ -44,6 +45,7 @@ pub fn encode(view: &View) -> Result<String, fmt::Error> {
 }
 
 struct Snapshot {
+    tables: CounterTables,
     sensors: Arc<[SensorStatus]>,
     ports: Arc<[PortStatus]>,
     conditions: Vec<Condition>,
@@ -52,12 +54,7 @@ struct Snapshot {
 
 impl fmt::Debug for Snapshot {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "{} sensors on {} ports",
-            self.sensors.len(),
-            self.ports.len()
-        )
+        f.write_str("the metrics of a moment")
     }
 }
 
@@ -91,8 +88,8 @@ impl EncodeMetric for Metric {
 impl Collector for Snapshot {
     fn encode(&self, mut encoder: DescriptorEncoder<'_>) -> fmt::Result {
         let to = &mut encoder;
-        numbers(to, OF_SENSOR, &self.sensors, sensor_label)?;
-        numbers(to, OF_PORT, &self.ports, port_label)?;
+        numbers(to, self.tables.of_sensor, &self.sensors, sensor_label)?;
+        numbers(to, self.tables.of_port, &self.ports, port_label)?;
         self.recordings(to)?;
         self.gauges(to)?;
         self.losses_and_states(to)?;

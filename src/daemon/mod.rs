@@ -9,7 +9,7 @@
 //! record                            what is recorded: by the configuration, and for `sweepd record --from`
 //! control   one tokio thread:       signals, reload, notify (systemd), health and metrics over HTTP
 //! counters                          what the first tell the second: plain atomics
-//! numbers                           the table of what health and metrics show of them
+//! counter_table                     the tables of what health and metrics show of them
 //! state                             what that means, in words
 //! ```
 

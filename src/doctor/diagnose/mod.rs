@@ -14,7 +14,7 @@ use serde_json::Value;
 use super::observe::{Observations, PortResult};
 use super::{Finding, Severity, Topic};
 use crate::beams;
-use crate::daemon::counter_table::{Counter, OF_PORT, OF_SENSOR};
+use crate::daemon::counter_table::{COUNTERS, Counter, CounterTables};
 use crate::strangers::{Cause, Stranger};
 
 /// Smallest share of missing packets that is more than a note.
@@ -24,6 +24,9 @@ const LEAST_LOSS: f64 = 0.001;
 pub fn diagnose(seen: &Observations) -> Vec<Finding> {
     let mut findings = Findings::default();
     ports(seen, &mut findings);
+    if let Some(Ok(health)) = &seen.daemon {
+        daemon(seen, health, COUNTERS, &mut findings);
+    }
     silence::find(seen, &mut findings);
     sensors::find(seen, &mut findings);
     web::find(seen, &mut findings);
@@ -83,9 +86,6 @@ fn ports(seen: &Observations, findings: &mut Findings) {
             PortResult::Open { others, .. } => foreign(seen, number, others, findings),
         }
     }
-    if let Some(Ok(health)) = &seen.daemon {
-        daemon(seen, health, findings);
-    }
 }
 
 /// Datagrams on a port that are no packets of a Velodyne: those of another LiDAR, else all.
@@ -128,8 +128,8 @@ fn serves(health: &Value, port: u16) -> bool {
         .any(|one| one["port"].as_u64() == Some(port.into()))
 }
 
-/// Findings from a running daemon's report, as far as it can be read.
-fn daemon(seen: &Observations, health: &Value, findings: &mut Findings) {
+/// Findings from a running daemon's report, with these counters, as far as it can be read.
+fn daemon(seen: &Observations, health: &Value, tables: CounterTables, findings: &mut Findings) {
     let reasons: Vec<String> = elements(&health["reasons"]).filter_map(clean).collect();
     if health["findings"].is_array() {
         for told in elements(&health["findings"]) {
@@ -158,10 +158,10 @@ fn daemon(seen: &Observations, health: &Value, findings: &mut Findings) {
         findings.note(Topic::Daemon, sensor_line(sensor), "");
     }
     for sensor in elements(&health["sensors"]) {
-        counts(sensor, OF_SENSOR, &SAID_OF_SENSOR, findings);
+        counts(sensor, tables.of_sensor, &SAID_OF_SENSOR, findings);
     }
     for port in elements(&health["ports"]) {
-        counts(port, OF_PORT, &SAID_OF_PORT, findings);
+        counts(port, tables.of_port, &SAID_OF_PORT, findings);
     }
     if reasons.is_empty() {
         let what = match health["status"].as_str() {

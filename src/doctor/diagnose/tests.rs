@@ -5,6 +5,7 @@ use std::net::{Ipv4Addr, SocketAddr};
 use serde_json::json;
 
 use super::*;
+use crate::daemon::testing::{SCRATCHES, scratched};
 use crate::doctor::observe::{
     Host, Interface, ObservedPort, ObservedSensor, PositionSender, RootTrouble, Web,
 };
@@ -644,6 +645,17 @@ fn beside_a_daemon_its_findings_are_told_and_silence_as_without_one() {
         &["roof: is purple[2J"],
     );
     assert_eq!(findings.iter().filter(|one| one.is_trouble()).count(), 3);
+}
+
+#[test]
+fn a_row_of_the_counters_is_enough_for_a_note() {
+    let (_, health) = scratched().report(SCRATCHES);
+    let mut findings = Findings::default();
+    daemon(&healthy(), &health, SCRATCHES, &mut findings);
+    for what in ["roof: scratched 271", "127.0.0.1:2368: scrubbed 314"] {
+        let note = Finding::new(Severity::Note, Topic::Daemon, what, "");
+        assert!(findings.0.contains(&note), "{:#?}", findings.0);
+    }
 }
 
 #[test]
