@@ -25,6 +25,7 @@ pub mod same;
 pub mod scan;
 pub mod setup;
 pub mod simulated;
+pub mod stopwatch;
 pub mod stream;
 pub mod tool;
 pub mod wall;
@@ -40,6 +41,7 @@ pub use process::{PATIENCE, Process};
 pub use python::{python, python_package, python_with_numpy};
 pub use repository::{HDL64E_UNITS, data_dir, data_dir_if_any, is_root, program, root, sweepd};
 pub use rustix::process::Signal;
+pub use stopwatch::Stopwatch;
 pub use tool::tool;
 
 /// A failure, as a sentence for the person who runs the tests.
