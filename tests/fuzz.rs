@@ -23,7 +23,7 @@ use fastrand::Rng;
 use sweepd_testkit::mutate::mutated;
 
 /// Longest time for one input: in a debug build, on a machine that does other things too.
-const PATIENCE: Duration = Duration::from_secs(30);
+const PATIENCE: Duration = Duration::from_secs(60);
 /// Memory that each byte of an input may take: LZF unpacks to 88 times as many bytes, and points
 /// are more than that.
 const MEMORY_PER_BYTE: usize = 400;

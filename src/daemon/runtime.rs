@@ -518,7 +518,7 @@ mod tests {
     #[test]
     fn a_thread_that_waits_for_a_core_is_waited_for_and_has_ended_well() {
         let slow = thread::spawn(|| {
-            thread::sleep(Duration::from_millis(400));
+            thread::sleep(Duration::from_millis(100));
             Ok(())
         });
         let runtime = Runtime {

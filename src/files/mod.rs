@@ -127,13 +127,11 @@ mod tests {
         let pipe = folder.path().join("pipe");
         let made = std::process::Command::new("mkfifo").arg(&pipe).status();
         assert!(made.unwrap().success());
-        let begun = Instant::now();
         for (path, what) in [(&pipe, "a pipe"), (&PathBuf::from("/dev/zero"), "a device")] {
             let error = read(path, 100).unwrap_err();
             assert_eq!(error.kind(), io::ErrorKind::InvalidInput);
             assert!(error.to_string().contains(what), "{error}");
         }
-        assert!(begun.elapsed() < PATIENCE);
     }
 
     #[test]

@@ -265,7 +265,7 @@ fn send(sensor: &Sensor, port: u16, turns: usize) {
 #[test]
 fn packets_that_come_are_judged() {
     let domain = temp_domain();
-    let args = "doctor --obstacle 0.25,2 --port 0 --bind 127.0.0.1 --seconds 1 --json";
+    let args = "doctor --obstacle 0.25,2 --port 0 --bind 127.0.0.1 --seconds 2 --json";
     let mut command = command(&args.split(' ').collect::<Vec<_>>());
     command.env("SWEEPD_ROOT", domain.root());
     command.stdout(Stdio::piped()).stderr(Stdio::piped());

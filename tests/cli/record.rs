@@ -12,6 +12,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use sweepd::input::{Capture, CaptureReader};
 use sweepd::wire::Datagram;
+use sweepd_testkit::PATIENCE;
 
 use crate::made::{self, Sent};
 use crate::{Folder, Ran, command, sweepd};
@@ -347,9 +348,9 @@ fn an_hdl64e_with_two_returns_is_recorded_whole_while_files_rotate() {
     });
     let ran = recorder.stop();
     let files = rotated(&folder);
-    assert!(files.len() >= 14, "{}", files.len());
     // A buffer of a few packets overflows on a busy machine, which is then told.
     if is_whole(&ran, sent.len()) || !has_small_buffer {
+        assert!(files.len() >= 14, "{}", files.len());
         assert!(files.iter().flat_map(|file| read_payloads(file)).eq(sent));
     }
 }
@@ -468,7 +469,7 @@ fn what_was_recorded_is_on_the_disk_before_the_end() {
     let path = folder.path("killed.pcap.gz");
     let mut recorder = Recorder::start(&path, &[]);
     send(&sender(), recorder.to, &sent[..20]);
-    // It syncs once a second; a slow machine is given some more.
+    // It syncs once a second.
     let readable = || {
         let mut capture = Capture::open(&path).ok()?;
         let mut count = 0;
@@ -477,10 +478,11 @@ fn what_was_recorded_is_on_the_disk_before_the_end() {
         }
         Some(count)
     };
-    let found = (0..100).find_map(|_| {
+    let (begun, mut found) = (Instant::now(), None);
+    while found != Some(20) && begun.elapsed() < PATIENCE {
         std::thread::sleep(Duration::from_millis(100));
-        readable().filter(|&count| count == 20)
-    });
+        found = readable();
+    }
     recorder.child.kill().unwrap();
     recorder.child.wait().unwrap();
     assert_eq!(found, Some(20));
@@ -563,10 +565,7 @@ fn a_recording_is_replaced_only_with_force_and_when_the_new_one_is_whole() {
             let (begun, sent): (_, usize) =
                 (Instant::now(), payloads[..20].iter().map(Vec::len).sum());
             while std::fs::metadata(&part).map_or(0, |part| part.len()) < sent as u64 {
-                assert!(
-                    begun.elapsed() < Duration::from_secs(10),
-                    "nothing is on the disk"
-                );
+                assert!(begun.elapsed() < PATIENCE, "nothing is on the disk");
                 std::thread::sleep(Duration::from_millis(10));
             }
             recorder.child.kill().unwrap();

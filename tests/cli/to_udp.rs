@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 use std::net::UdpSocket;
 use std::time::{Duration, Instant};
 
+use sweepd_testkit::PATIENCE;
+
 use crate::{Folder, Ran, command, fixture, made, replay};
 use sweepd_testkit::free_port;
 
@@ -21,9 +23,7 @@ fn received(
     socket2::SockRef::from(&socket)
         .set_recv_buffer_size(BUFFER_BYTES)
         .unwrap();
-    socket
-        .set_read_timeout(Some(Duration::from_secs(20)))
-        .unwrap();
+    socket.set_read_timeout(Some(PATIENCE)).unwrap();
     let to = socket.local_addr().unwrap().to_string();
     let reader = std::thread::spawn(move || {
         let mut ports = BTreeMap::<u16, Vec<Vec<u8>>>::new();

@@ -8,8 +8,8 @@ use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::{Folder, Ran, command, fixture, replay, sweepd, sweeps};
-use sweepd_testkit::TempDomain;
 use sweepd_testkit::temp_domain;
+use sweepd_testkit::{PATIENCE, TempDomain};
 
 /// The binary in a domain of the test's own.
 fn within(own: &TempDomain, args: &[&str]) -> Command {
@@ -24,7 +24,7 @@ fn within(own: &TempDomain, args: &[&str]) -> Command {
 fn output(mut child: Child) -> Output {
     let begun = Instant::now();
     while child.try_wait().unwrap().is_none() {
-        if begun.elapsed() > Duration::from_secs(60) {
+        if begun.elapsed() > PATIENCE {
             child.kill().unwrap();
             panic!("it does not end");
         }
@@ -61,7 +61,7 @@ fn what_is_watched_is_what_is_replayed() {
             "--sweeps",
             &count,
             "--timeout",
-            "40",
+            "60",
             "--json",
             "--no-timing",
             "--force",
@@ -129,7 +129,7 @@ fn several_sensors_are_listed_and_none_are_waited_for() {
     };
     let mut children = [publishing("roof"), publishing("rear")];
     for name in ["roof", "rear"] {
-        let watched = within(&own, &["watch", name, "--sweeps", "1", "--timeout", "20"])
+        let watched = within(&own, &["watch", name, "--sweeps", "1", "--timeout", "60"])
             .output()
             .map(Ran::of)
             .unwrap();
@@ -187,7 +187,7 @@ fn another_user_gets_an_error_that_names_the_owner() {
     )
     .spawn()
     .unwrap();
-    let watch = ["watch", "roof", "--sweeps", "1", "--timeout", "20"];
+    let watch = ["watch", "roof", "--sweeps", "1", "--timeout", "60"];
     assert_eq!(within(&own, &watch).output().map(Ran::of).unwrap().code, 0);
     if sweepd_testkit::is_root() {
         // The binary is where nobody may look; a copy is not.

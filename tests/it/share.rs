@@ -16,12 +16,12 @@ use sweepd::sweep::objects::{self, MESSAGE_BYTES, Object, Sending, flags};
 use sweepd::sweep::{Shape, SweepMut, SweepRef};
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::{Emitter, EmitterConfig, fixtures};
-use sweepd_testkit::TempDomain;
 use sweepd_testkit::stream::{Sent, Spin, config, datagram, next_sweep, unit};
 use sweepd_testkit::temp_domain;
+use sweepd_testkit::{PATIENCE, TempDomain};
 
 /// Longest wait for what comes at once where this process has a core.
-const SOON: Duration = Duration::from_secs(20);
+const SOON: Duration = PATIENCE;
 
 fn settings(max_consumers: usize) -> ServiceSettings {
     let (model, address) = ("VLP-16".to_owned(), "192.168.1.201".to_owned());

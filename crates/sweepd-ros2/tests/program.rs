@@ -137,7 +137,7 @@ fn it_waits_for_a_daemon_and_ends_when_told() {
         stderr.read_line(&mut said).unwrap();
         let begun = Instant::now();
         while !handles_signals(child.id()) {
-            assert!(begun.elapsed() < Duration::from_secs(20), "{said}");
+            assert!(begun.elapsed() < Duration::from_secs(60), "{said}");
             std::thread::sleep(Duration::from_millis(5));
         }
         std::thread::sleep(Duration::from_millis(300));
@@ -153,7 +153,7 @@ fn it_waits_for_a_daemon_and_ends_when_told() {
         );
         stderr.read_to_string(&mut said).unwrap();
         assert!(
-            child.wait().unwrap().success() && begun.elapsed() < Duration::from_secs(3),
+            child.wait().unwrap().success() && begun.elapsed() < Duration::from_secs(8),
             "{signal}"
         );
         assert!(

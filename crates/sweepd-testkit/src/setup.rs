@@ -9,10 +9,10 @@ use std::time::{Duration, Instant};
 
 use sweepd::client::{Client, Domain};
 
-use crate::{TempDomain, free_port, pool, temp_domain};
+use crate::{PATIENCE, TempDomain, free_port, pool, temp_domain};
 
 /// Longer than anything takes on a busy machine.
-pub const SOON: Duration = Duration::from_secs(10);
+pub const SOON: Duration = PATIENCE;
 
 /// A child process that ends with the test.
 pub struct Process(pub Child);
@@ -54,9 +54,7 @@ impl Process {
 
     /// Waits for its end; gives whether it did what it should.
     pub fn wait(&mut self) -> bool {
-        self.ends_within(Duration::from_secs(60))
-            .expect("it does not end")
-            .success()
+        self.ends_within(SOON).expect("it does not end").success()
     }
 
     /// Its end, if it comes within this time.
@@ -71,17 +69,16 @@ impl Process {
         }
     }
 
-    /// Sends SIGTERM, which must end it with exit code 0, within a second on a machine that has a
-    /// core for it.
+    /// Sends SIGTERM, which must end it with exit code 0.
     ///
     /// # Errors
     /// A sentence, if it does not.
     pub fn ends_when_told(&mut self) -> Result<(), String> {
         self.signal("-TERM");
-        match self.ends_within(Duration::from_secs(5)) {
+        match self.ends_within(SOON) {
             Some(status) if status.success() => Ok(()),
             Some(status) => Err(format!("ends with {status} after SIGTERM")),
-            None => Err("still runs five seconds after SIGTERM".to_owned()),
+            None => Err(format!("still runs {SOON:?} after SIGTERM")),
         }
     }
 }
@@ -93,7 +90,7 @@ impl Drop for Process {
     }
 }
 
-pub use super::sweepd;
+pub use crate::sweepd;
 
 /// A daemon's folder, ports and configuration.
 pub struct Setup {
@@ -183,9 +180,7 @@ impl Setup {
     /// What the health page says of the sensor; `None` where there is no answer.
     pub fn health(&self) -> Option<serde_json::Value> {
         let mut stream = TcpStream::connect(("127.0.0.1", self.http)).ok()?;
-        stream
-            .set_read_timeout(Some(Duration::from_secs(1)))
-            .unwrap();
+        stream.set_read_timeout(Some(SOON)).unwrap();
         write!(
             stream,
             "GET /health HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"

@@ -3,7 +3,7 @@
 
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use sweepd::sensor::Model;
@@ -47,6 +47,12 @@ impl Stage {
                 (start(&setup, &folder, command, args), folder)
             },
         ));
+        // All see the first scene.
+        let (begun, count) = (Instant::now(), 1 + examples.len());
+        while setup.health().is_none_or(|roof| roof["consumers"] != count) {
+            assert!(begun.elapsed() < SOON, "{:?}", setup.health());
+            std::thread::sleep(Duration::from_millis(20));
+        }
         let sensor = Sending::new(sensor, scenes, setup.port);
         for _ in 0..SWEEPS {
             client.next(SOON).unwrap().received().expect("a sweep");
@@ -182,7 +188,7 @@ fn a_person_who_walks_in_is_told_once() {
             (WALK_M - 0.25..WALK_M).contains(&ahead_m),
             "{ahead_m} m ahead"
         );
-        assert!((0.0..1000.0).contains(&age_ms), "{age_ms} ms");
+        assert!((0.0..60_000.0).contains(&age_ms), "{age_ms} ms");
     }
     stage.are_silent();
 }

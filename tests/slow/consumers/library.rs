@@ -16,12 +16,12 @@ use super::hostile::{Case, Fate, Hostile, cases, node, schema, service_name};
 use super::python::{Talk, loans, mapped, publish};
 use super::sweeps::Source;
 use super::{folder, objects};
-use sweepd_testkit::TempDomain;
 use sweepd_testkit::library::{c_program, compile};
 use sweepd_testkit::temp_domain;
+use sweepd_testkit::{PATIENCE, TempDomain};
 
-const SOON: Duration = Duration::from_secs(20);
-const SOON_MS: u64 = 20_000;
+const SOON: Duration = PATIENCE;
+const SOON_MS: u64 = SOON.as_millis() as u64;
 const RECEIVED: i64 = 0;
 const TIMEOUT: i64 = 1;
 const UNPUBLISHED: i64 = 2;

@@ -20,10 +20,10 @@ use super::folder;
 use super::hostile::{Hostile, preamble};
 use super::native::{Fault, compare_refusals, programs, run};
 use super::python::{Talk, check};
-use sweepd_testkit::TempDomain;
 use sweepd_testkit::temp_domain;
+use sweepd_testkit::{PATIENCE, TempDomain};
 
-const SOON: Duration = Duration::from_secs(20);
+const SOON: Duration = PATIENCE;
 
 /// Each message about a street, aligned as in shared memory, its header, and what it tells.
 pub fn messages() -> Vec<Vec<u64>> {

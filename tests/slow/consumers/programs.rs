@@ -111,15 +111,18 @@ fn the_rust_consumer_prints_a_line_a_sweep_and_makes_room_when_it_is_killed() {
         interrupt(&mut consumer);
     }
     for _ in 0..2 {
-        // The keeper gives their places back within a second.
+        // The keeper gives their places back within a second; until then there may be none.
         let mut client = Client::within(&own.domain(), "roof").unwrap();
-        client.next(Duration::from_secs(2)).unwrap();
-        assert!(client.is_connected());
+        let begun = Instant::now();
+        while !client.is_connected() {
+            let _ = client.next(Duration::from_millis(100));
+            assert!(begun.elapsed() < LIMIT, "no place is given back");
+        }
     }
 }
 
 fn publish_until_line(loans: &mut Loans, consumer: &Talk) {
-    let lines = (0..200).filter_map(|sequence| {
+    let lines = (0..600).filter_map(|sequence| {
         publish(loans, sequence);
         consumer.try_line(Duration::from_millis(100))
     });
@@ -171,7 +174,7 @@ fn is_recent(age_ms: Option<&str>) -> bool {
 
 /// Sends a message until a consumer has got it.
 fn publish_until_there(loans: &mut Loans, message: &[u8]) {
-    for _ in 0..1000 {
+    for _ in 0..3000 {
         if objects::publish(loans, message) == 1 {
             return;
         }
@@ -357,16 +360,18 @@ fn zones_are_asked_without_a_height_and_empty_after_whole_turns() {
             assert_eq!(zones.try_line(Duration::from_millis(50)), None);
         }
         header.flags = 0;
-        for turn in 1..=3 {
+        for _ in 0..2 {
             publish_returns(&mut loans, &header, 0);
-            let wait = if turn == 3 {
-                LIMIT
-            } else {
-                Duration::from_millis(50)
-            };
-            let expected = (turn == 3).then(|| "ahead: empty".to_owned());
-            assert_eq!(zones.try_line(wait), expected);
+            assert_eq!(zones.try_line(Duration::from_millis(50)), None);
         }
+        // It may have missed some while it had no core.
+        let begun = Instant::now();
+        let mut said = std::iter::repeat_with(|| {
+            assert!(begun.elapsed() < LIMIT, "three turns are not enough");
+            publish_returns(&mut loans, &header, 0);
+            zones.try_line(Duration::from_millis(50))
+        });
+        assert_eq!(said.find_map(|line| line).unwrap(), "ahead: empty");
         interrupt(&mut zones);
     }
 }
@@ -467,7 +472,7 @@ fn cmake_says_where_cpp_gets_the_library_that_is_not_there() {
 fn the_cpp_consumer_prints_a_line_a_sweep_and_ends_when_nothing_comes() {
     let own = temp_domain();
     let program = cpp_examples().join("consumer");
-    let args = ["roof", own.root().to_str().unwrap(), "--timeout", "1.5"].map(OsStr::new);
+    let args = ["roof", own.root().to_str().unwrap(), "--timeout", "4"].map(OsStr::new);
     let mut consumer = Talk::start(program.as_os_str(), &args);
     play_to(&consumer, &own, |sweep, line| {
         let (line, point) = line.split_once(" at (").unwrap_or((line, ""));

@@ -17,11 +17,11 @@ use zerocopy::IntoBytes;
 
 use super::sweeps::SOURCES;
 use super::{folder, of_project};
-use sweepd_testkit::TempDomain;
+use sweepd_testkit::{PATIENCE, TempDomain};
 use sweepd_testkit::{python_package, python_with_numpy, temp_domain};
 
 /// Longer than anything here takes on a busy machine.
-pub const LIMIT: Duration = Duration::from_secs(60);
+pub const LIMIT: Duration = PATIENCE;
 
 /// A program that says JSON, line by line; it ends with this.
 pub struct Talk {

@@ -21,10 +21,10 @@ use super::hostile::{
 };
 use super::python::{Talk, check, loans, publish};
 use super::{folder, objects, of_project};
-use sweepd_testkit::TempDomain;
 use sweepd_testkit::temp_domain;
+use sweepd_testkit::{PATIENCE, TempDomain};
 
-const SOON: Duration = Duration::from_secs(5);
+const SOON: Duration = PATIENCE;
 
 fn client(own: &TempDomain) -> Client {
     let mut client = Client::within(&own.domain(), "roof").unwrap();
@@ -521,7 +521,7 @@ fn a_wait_ends_however_short_it_is() {
         }
         ended.send(()).unwrap();
     });
-    is_ended.recv_timeout(2 * SOON).expect("every wait ends");
+    is_ended.recv_timeout(SOON).expect("every wait ends");
 }
 
 /// `sweepd watch` with all of its outputs.
@@ -562,7 +562,7 @@ fn watch_shows_or_refuses_any_bytes() {
         while child.try_wait().unwrap().is_none() {
             hostile.send(&bytes, &preamble);
             std::thread::sleep(Duration::from_millis(5));
-            assert!(begun.elapsed() < 4 * SOON, "{name}: it does not end");
+            assert!(begun.elapsed() < SOON, "{name}: it does not end");
         }
         let output = child.wait_with_output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr);

@@ -16,7 +16,7 @@ const PARTS: [&str; 4] = ["/dev/shm has", "bytes free", "needed", " more"];
 fn fill(left_kib: u32) -> String {
     format!(
         "free() {{ df --output=avail -k /dev/shm | tail -1; }}\n\
-         for attempt in $(seq 25); do\n\
+         for attempt in $(seq 100); do\n\
          dd if=/dev/zero of=/dev/shm/other bs=4k 2>/dev/null || true\n\
          truncate -s -{left_kib}K /dev/shm/other\n\
          sleep 0.2\n\
@@ -31,7 +31,7 @@ fn fill(left_kib: u32) -> String {
 fn run_full(world: &World, program: &str, left_kib: u32) -> String {
     let folder = world.folder().display();
     format!(
-        "{}code=0\ntimeout 30 {program} >/dev/null 2>{folder}/said || code=$?\necho $code > {folder}/code\nrm /dev/shm/other\n",
+        "{}code=0\ntimeout 60 {program} >/dev/null 2>{folder}/said || code=$?\necho $code > {folder}/code\nrm /dev/shm/other\n",
         fill(left_kib)
     )
 }
@@ -104,7 +104,7 @@ fn consume(name: &str, program: impl Fn(&World) -> String) {
                 "{name}, {left_kib} KiB free: exit code {code}: {said}"
             ));
         }
-        world.inside(&format!("timeout 30 {program} >/dev/null"));
+        world.inside(&format!("timeout 60 {program} >/dev/null"));
     }
     world.until_health(200, "streaming");
     world.signal("-TERM");
@@ -117,7 +117,7 @@ fn consume(name: &str, program: impl Fn(&World) -> String) {
 fn a_rust_consumer_without_shared_memory_says_so() {
     consume("sweepd watch", |world| {
         format!(
-            "{} watch roof --root {} --sweeps 1 --timeout 20",
+            "{} watch roof --root {} --sweeps 1 --timeout 50",
             binary(),
             world.root().display()
         )

@@ -3,15 +3,16 @@
 
 use std::collections::HashMap;
 use std::os::unix::process::ExitStatusExt;
-use std::process::{Command, Stdio};
+use std::process::{Command, ExitStatus};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 use std::{fmt, fs};
 
-use crate::crashes::{Files, Robot, SETTLE, files, no_more};
+use crate::crashes::{Files, LIMIT, Robot, SETTLE, files, no_more};
+use sweepd_testkit::Stopwatch;
 use sweepd_testkit::cases;
 use sweepd_testkit::domain::clear;
-use sweepd_testkit::setup::{Process, SOON, Setup, Watch};
+use sweepd_testkit::setup::{Process, SOON, Setup, Watch, sweepd};
 
 /// The calls; not every machine has those with a question mark.
 const CALLS: &str = "openat,ftruncate,fchmod,?fchmodat,?chmod,write,?rename,?renameat,renameat2,bind,?unlink,unlinkat,\
@@ -33,14 +34,22 @@ enum Victim {
 impl Victim {
     fn args(self, setup: &Setup) -> Vec<&str> {
         match self {
-            Self::Consumer => setup.watch_args().to_vec(),
+            Self::Consumer => [&setup.watch_args()[..], &["--json"]].concat(),
             Self::Daemon | Self::FirstDaemon => setup.daemon_args().to_vec(),
         }
     }
 
-    /// How long it runs until it is told to end.
+    /// How long it runs at least until it is told to end.
     fn lives(self) -> Duration {
         Duration::from_millis(if self == Self::Consumer { 500 } else { 1000 })
+    }
+
+    /// What it says when it has done all that it does at its start.
+    fn says(self) -> &'static str {
+        match self {
+            Self::Consumer => "\"sequence\"",
+            Self::Daemon | Self::FirstDaemon => ": streaming,",
+        }
     }
 }
 
@@ -69,6 +78,13 @@ impl fmt::Display for Point {
     }
 }
 
+/// Starts a program that says all to a log of its own.
+fn start(setup: &Setup, mut command: Command) -> Process {
+    let log = setup.path("victim.log");
+    command.stdout(fs::File::create(&log).unwrap());
+    Process::spawn(command, &log)
+}
+
 /// `sweepd` as the child of this process, with strace beside it.
 fn traced(setup: &Setup, victim: Victim, strace: &[&str]) -> Process {
     let mut command = Command::new("strace");
@@ -84,16 +100,29 @@ fn traced(setup: &Setup, victim: Victim, strace: &[&str]) -> Process {
         .args(strace);
     command
         .arg(env!("CARGO_BIN_EXE_sweepd"))
-        .args(victim.args(setup))
-        .stdout(Stdio::null());
-    Process::spawn(command, &setup.path("victim.log"))
+        .args(victim.args(setup));
+    start(setup, command)
+}
+
+/// Lets a victim live; its end, if it comes before its time.
+fn live(setup: &Setup, victim: Victim, process: &mut Process) -> Option<ExitStatus> {
+    let begun = Instant::now();
+    let is_up = || {
+        let log = fs::read_to_string(setup.path("victim.log"));
+        log.is_ok_and(|log| log.contains(victim.says()))
+    };
+    let mut ended = process.ends_within(victim.lives());
+    while ended.is_none() && !is_up() && begun.elapsed() < SOON {
+        ended = process.ends_within(Duration::from_millis(20));
+    }
+    ended
 }
 
 /// Waits until a program handles SIGTERM, or has ended: before, the signal would kill it.
 fn until_it_can_be_told(process: &mut Process) {
     let path = format!("/proc/{}/status", process.0.id());
     let (begun, is_sigterm) = (Instant::now(), 1_u64 << 14);
-    while process.0.try_wait().unwrap().is_none() && begun.elapsed() < 2 * SOON {
+    while process.0.try_wait().unwrap().is_none() && begun.elapsed() < SOON {
         let status = fs::read_to_string(&path).unwrap_or_default();
         let of = |name| status.lines().find_map(|line| line.strip_prefix(name));
         let handled = of("SigCgt:").and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
@@ -110,7 +139,7 @@ fn until_it_can_be_told(process: &mut Process) {
 fn points(robot: &Robot, victim: Victim) -> Vec<Point> {
     let mut process = traced(&robot.setup, victim, &["-e", &format!("trace={CALLS}")]);
     let first = process.0.id().to_string();
-    std::thread::sleep(victim.lives());
+    live(&robot.setup, victim, &mut process);
     until_it_can_be_told(&mut process);
     process.ends_when_told().unwrap();
     // strace writes until a moment later.
@@ -204,7 +233,7 @@ fn strike(setup: &Setup, victim: Victim, point: &Point) -> Result<bool, String> 
     let mut process = match thread {
         None => traced(setup, victim, &trace),
         Some(name) => {
-            let process = Process::start(&victim.args(setup), &setup.path("victim.log"));
+            let process = start(setup, sweepd(&victim.args(setup)));
             let mut command = Command::new("sh");
             command
                 .args([
@@ -221,13 +250,14 @@ fn strike(setup: &Setup, victim: Victim, point: &Point) -> Result<bool, String> 
             process
         }
     };
-    let ended = process.ends_within(victim.lives()).or_else(|| {
+    let ended = live(setup, victim, &mut process).or_else(|| {
         until_it_can_be_told(&mut process);
         process.signal("-TERM");
-        process.ends_within(Duration::from_secs(2))
+        let told = Stopwatch::start();
+        process.ends_within(SOON).filter(|_| told.elapsed() < LIMIT)
     });
     let Some(status) = ended else {
-        return Err("it still runs 2 s after SIGTERM".to_owned());
+        return Err(format!("it still runs {LIMIT:?} after SIGTERM"));
     };
     match status.signal() {
         Some(9) => Ok(true),
@@ -275,7 +305,7 @@ impl Round {
         let robot = &mut self.robot;
         make_room(robot, victim)?;
         self.kills += usize::from(strike(&robot.setup, victim, point)?);
-        let since = Instant::now();
+        let since = Stopwatch::start();
         if victim != Victim::Consumer {
             robot.daemon = robot.setup.daemon();
         }
@@ -293,11 +323,10 @@ impl Round {
     }
 
     fn end(self) -> Result<(), String> {
-        std::thread::sleep(SETTLE);
-        let now = files(&self.robot.setup);
-        self.robot.end()?;
-        self.files_after_few
-            .map_or(Ok(()), |few| no_more(&few, &now))
+        if let Some(few) = self.files_after_few {
+            no_more(&few, &self.robot.setup)?;
+        }
+        self.robot.end()
     }
 }
 

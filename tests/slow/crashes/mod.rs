@@ -17,11 +17,13 @@ use std::ffi::OsStr;
 use std::fs;
 use std::time::{Duration, Instant};
 
+use sweepd_testkit::Stopwatch;
+
 use sweepd_testkit::setup::{Process, SOON, Setup, Watch};
 
 /// How long sweeps may take to come after a crash.
 const LIMIT: Duration = Duration::from_secs(2);
-/// How long the living programs may take to remove what the dead left.
+/// How long the living programs take to remove what the dead left.
 const SETTLE: Duration = Duration::from_secs(3);
 
 /// A daemon with a sensor that sends all the time, and a consumer that stays. Dropped in this
@@ -69,30 +71,16 @@ impl Robot {
 
     /// Checks that the consumer that was there gets sweeps after a moment, that a new consumer
     /// does, and that this one ends when it is told.
-    fn check(&self, since: Instant) -> Result<(), String> {
+    fn check(&self, since: Stopwatch) -> Result<(), String> {
         // At most two can be left of a daemon that died.
         self.check_with(since, 3)
     }
 
     /// The same, where this many sweeps tell that the daemon publishes.
-    fn check_with(&self, since: Instant, sweeps: usize) -> Result<(), String> {
-        if !self.steady.gets(sweeps, since, LIMIT) {
-            let late = self
-                .steady
-                .gets(sweeps, since, SOON)
-                .then(|| since.elapsed());
-            let late = late.map_or_else(
-                || format!("nor within {:?}", SOON),
-                |late| format!("but after {late:.1?}"),
-            );
-            return Err(format!(
-                "the consumer gets no sweeps within {LIMIT:?}, {late}"
-            ));
-        }
-        let (begun, mut new) = (Instant::now(), Watch::start(&self.setup));
-        if !new.gets(1, begun, LIMIT) {
-            return Err("a new consumer gets no sweep".to_owned());
-        }
+    fn check_with(&self, since: Stopwatch, sweeps: usize) -> Result<(), String> {
+        in_time("the consumer", &self.steady, sweeps, since, LIMIT)?;
+        let (since, mut new) = (Stopwatch::start(), Watch::start(&self.setup));
+        in_time("a new consumer", &new, 1, since, LIMIT)?;
         new.process
             .ends_when_told()
             .map_err(|error| format!("the new consumer {error}"))
@@ -127,6 +115,24 @@ impl Robot {
     }
 }
 
+/// Fails unless this number of sweeps comes in time.
+fn in_time(
+    who: &str,
+    watch: &Watch,
+    sweeps: usize,
+    since: Stopwatch,
+    limit: Duration,
+) -> Result<(), String> {
+    if !watch.gets(sweeps, since.begun, SOON) {
+        return Err(format!("{who} gets no sweeps within {SOON:?}"));
+    }
+    let took = since.elapsed();
+    if took > limit {
+        return Err(format!("{who} gets sweeps after {took:.1?} only"));
+    }
+    Ok(())
+}
+
 /// The files of each kind that a domain has, in its folder and in shared memory; a kind is the
 /// ending of a name.
 type Files = BTreeMap<String, Vec<String>>;
@@ -154,12 +160,19 @@ fn count(files: &Files) -> usize {
     files.values().map(Vec::len).sum()
 }
 
-/// Fails if there are more files than there were before.
-fn no_more(before: &Files, after: &Files) -> Result<(), String> {
-    if count(after) > count(before) {
-        return Err(format!(
-            "the files grow:\n{before:#?} before,\n{after:#?} after"
-        ));
+/// Waits until there are no more files than there were before, and gives those.
+fn no_more(before: &Files, setup: &Setup) -> Result<Files, String> {
+    let begun = Instant::now();
+    loop {
+        let after = files(setup);
+        if count(&after) <= count(before) {
+            return Ok(after);
+        }
+        if begun.elapsed() > SOON {
+            return Err(format!(
+                "the files grow:\n{before:#?} before,\n{after:#?} after"
+            ));
+        }
+        std::thread::sleep(Duration::from_millis(50));
     }
-    Ok(())
 }

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use crate::crashes::torn::Torn;
 use crate::crashes::{LIMIT, Robot, SETTLE, count, files, no_more};
+use sweepd_testkit::Stopwatch;
 use sweepd_testkit::setup::{Process, SOON, sweepd};
 
 /// Environment variable: how many consumers `random_kills` kills; a fifth as many daemons.
@@ -44,7 +45,7 @@ fn kill(consumers: usize, daemons: usize) {
     let mut victims: Vec<Doomed> = Vec::new();
     let mut restarts = Vec::new();
     // Of the daemon: its start, when it is to be killed, and whether its first sweeps have come.
-    let (mut started, mut dies, mut is_up) = (Instant::now(), Some(soon(&mut random)), true);
+    let (mut started, mut dies, mut is_up) = (Stopwatch::start(), Some(soon(&mut random)), true);
     while consumers_left + daemons_left + victims.len() > 0 || !is_up {
         if daemons_left > 0 && dies.is_some_and(|dies| dies <= Instant::now()) {
             robot.daemon.signal("-KILL");
@@ -52,16 +53,16 @@ fn kill(consumers: usize, daemons: usize) {
             robot.daemon = robot.setup.daemon();
             daemons_left -= 1;
             // Every other one dies at its start; the others are let live until their sweeps come.
-            (started, is_up) = (Instant::now(), false);
+            (started, is_up) = (Stopwatch::start(), false);
             dies = (daemons_left % 2 == 1).then(|| soon(&mut random));
         }
         if !is_up && dies.is_none() {
-            if let Some(sweep) = robot.steady.sweep(started, 3) {
-                restarts.push(sweep - started);
+            if robot.steady.sweep(started.begun, 3).is_some() {
+                restarts.push(started.elapsed());
                 (is_up, dies) = (true, Some(soon(&mut random)));
             }
             assert!(
-                started.elapsed() < SOON,
+                started.begun.elapsed() < SOON,
                 "no sweeps after {daemons_left} kills to go: {}",
                 robot.logs()
             );
@@ -93,10 +94,9 @@ fn kill(consumers: usize, daemons: usize) {
         std::thread::sleep(Duration::from_millis(2));
     }
     robot
-        .check(Instant::now())
+        .check(Stopwatch::start())
         .unwrap_or_else(|error| panic!("{error}; {}", robot.logs()));
-    std::thread::sleep(SETTLE);
-    let after = files(&robot.setup);
+    let after = no_more(&before, &robot.setup).unwrap();
     let compared = torn.map_or(0, Torn::end);
     let times: Vec<Instant> = robot
         .steady
@@ -121,7 +121,6 @@ fn kill(consumers: usize, daemons: usize) {
         "a restart took {slowest:?}: {}",
         robot.logs()
     );
-    no_more(&before, &after).unwrap();
     robot.end().unwrap();
 }
 

@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 use sweepd::daemon::config::Config;
 use sweepd::daemon::control::{self, Reload};
 use sweepd::sensor_settings::Rpm;
+use sweepd_testkit::PATIENCE;
 
 use crate::daemon::rig::{Fate, Rig, config, sensor, until};
 
@@ -232,9 +233,7 @@ impl Daemon {
     /// The same, where it may be refused.
     pub fn try_ask(&self, request: &str) -> Option<(u16, String)> {
         let mut stream = TcpStream::connect(("127.0.0.1", self.http)).ok()?;
-        stream
-            .set_read_timeout(Some(Duration::from_secs(10)))
-            .unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
         write!(stream, "{request} HTTP/1.1\r\nHost: localhost\r\n\r\n").ok()?;
         let mut answer = String::new();
         stream.read_to_string(&mut answer).ok()?;

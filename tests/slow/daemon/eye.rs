@@ -19,7 +19,7 @@ fn the_eye_of_a_sensor_without_returns_is_told_with_cause_and_cure() {
     let daemon = Daemon::start(&[[107, port, port]], free_port(), Duration::from_secs(8));
     daemon.until_ready();
     let mut blind = stream(Model::Vlp16, ReturnMode::Strongest, 200.0);
-    let from = Duration::from_secs(3);
+    let from = Duration::from_secs(6);
     for sent in &mut blind {
         if sent.is_data && sent.after >= from {
             for block in sent.payload[..BLOCKS_END].chunks_mut(BLOCK) {

@@ -7,13 +7,14 @@ use std::net::{Ipv4Addr, TcpStream};
 use std::os::unix::fs::{OpenOptionsExt, symlink};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use serde_json::Value;
 use sweepd::input::Capture;
 use sweepd::publish::Domain;
 use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode;
+use sweepd_testkit::{PATIENCE, Stopwatch};
 
 use crate::daemon::rig::{Sending, Sent, free_port, stream, until};
 
@@ -81,10 +82,10 @@ impl Daemon {
 
     /// Ends it by SIGTERM; gives how long that took.
     fn end(&mut self) -> Duration {
-        let begun = Instant::now();
+        let told = Stopwatch::start();
         self.signal("-TERM");
         let status = self.child.wait().unwrap();
-        let took = begun.elapsed();
+        let took = told.elapsed();
         assert!(status.success(), "{}", self.log());
         took
     }
@@ -104,7 +105,7 @@ impl Daemon {
     /// The body of an answer.
     fn ask(&self, path: &str) -> Option<String> {
         let mut stream = TcpStream::connect(("127.0.0.1", self.http)).ok()?;
-        stream.set_read_timeout(Some(Duration::from_secs(5))).ok()?;
+        stream.set_read_timeout(Some(PATIENCE)).ok()?;
         write!(stream, "GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n").ok()?;
         let mut answer = String::new();
         stream.read_to_string(&mut answer).ok()?;

@@ -16,6 +16,7 @@ use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::gps::{Clock, Reception};
 use sweepd_lab::simulate::{Emitter, EmitterConfig, street};
+use sweepd_testkit::PATIENCE;
 use sweepd_testkit::counting::of_this_thread;
 pub use sweepd_testkit::free_port;
 
@@ -295,15 +296,12 @@ impl Drop for Sending {
     }
 }
 
-/// Waits at most 20 s until something is so.
+/// Waits until something is so.
 #[track_caller]
 pub fn until(what: &str, mut is_so: impl FnMut() -> bool) {
     let begun = Instant::now();
     while !is_so() {
-        assert!(
-            begun.elapsed() < Duration::from_secs(20),
-            "waited in vain until {what}"
-        );
+        assert!(begun.elapsed() < PATIENCE, "waited in vain until {what}");
         std::thread::sleep(Duration::from_millis(2));
     }
 }

@@ -41,7 +41,7 @@ fn until_told(daemon: &Daemon, words: &str) -> String {
     let health = daemon.health().1;
     assert!(health["reasons"].to_string().contains(words), "{health}");
     assert_ne!(health["status"], "ok");
-    assert!(daemon.log().contains(words), "{}", daemon.log());
+    until("it is logged", || daemon.log().contains(words));
     told(daemon, words)[0]["cure"].as_str().unwrap().to_owned()
 }
 

@@ -9,7 +9,7 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use sweepd_testkit::free_port;
-use sweepd_testkit::stream;
+use sweepd_testkit::{PATIENCE, stream};
 
 use serde_json::{Value, json};
 use stream::Spin;
@@ -290,7 +290,7 @@ fn serve(
     let server = std::thread::spawn(move || {
         let mut asked = Vec::new();
         let begun = Instant::now();
-        while asked.len() < requests && begun.elapsed() < Duration::from_secs(20) {
+        while asked.len() < requests && begun.elapsed() < PATIENCE {
             let Ok((mut stream, _)) = listener.accept() else {
                 std::thread::sleep(Duration::from_millis(2));
                 continue;

@@ -35,7 +35,7 @@ fn listen(objects: &mut Objects, sweeps: usize) -> Vec<Told> {
     let mut all: Vec<Told> = Vec::new();
     let begun = Instant::now();
     while all.iter().filter(|told| told.is_whole).count() < sweeps {
-        assert!(begun.elapsed() < 3 * SOON, "{} sweeps", all.len());
+        assert!(begun.elapsed() < SOON, "{} sweeps", all.len());
         let Some(message) = objects.next(SOON).unwrap().received() else {
             continue;
         };

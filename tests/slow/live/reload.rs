@@ -10,7 +10,7 @@ fn points(setup: &Setup) -> Vec<u32> {
     let file = setup.path("segments.csv");
     let mut watch: Command = sweepd(&setup.watch_args());
     watch
-        .args(["--sweeps", "6", "--timeout", "10", "--force", "--segments"])
+        .args(["--sweeps", "6", "--timeout", "60", "--force", "--segments"])
         .arg(&file);
     assert!(watch.output().unwrap().status.success(), "{}", setup.log());
     let text = std::fs::read_to_string(&file).unwrap();

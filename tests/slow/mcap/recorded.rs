@@ -41,7 +41,7 @@ fn said(setup: &Setup) -> String {
 fn until(what: &str, setup: &Setup, is_so: impl Fn() -> bool) {
     let begun = Instant::now();
     while !is_so() {
-        assert!(begun.elapsed() < 6 * SOON, "{what}: {}", said(setup));
+        assert!(begun.elapsed() < SOON, "{what}: {}", said(setup));
         std::thread::sleep(Duration::from_millis(20));
     }
 }
@@ -63,15 +63,15 @@ fn a_recording_has_the_sweeps_that_consumers_get() {
         stamp: Stamp::First,
     };
     let mut expected = Read::new();
-    while let Some(sweep) = client
-        .next(Duration::from_secs(if expected.is_empty() {
-            20
+    // All that is sent takes 5 s.
+    let wait = |is_first| {
+        if is_first {
+            SOON
         } else {
-            2
-        }))
-        .unwrap()
-        .received()
-    {
+            Duration::from_secs(3)
+        }
+    };
+    while let Some(sweep) = client.next(wait(expected.is_empty())).unwrap().received() {
         let sweep = sweep.view().unwrap();
         let (mut points, mut boxes) = (Vec::new(), Vec::new());
         Cloud::default().encode(&sweep, &header, &mut points);
@@ -96,7 +96,7 @@ fn a_recording_has_the_sweeps_that_consumers_get() {
     // Each may have missed some on a busy machine.
     let common = expected.iter().filter(|(key, _)| found.contains_key(*key));
     let common: Vec<_> = common.collect();
-    assert!(common.len() >= 60, "{} of {}", common.len(), expected.len());
+    assert!(common.len() >= 20, "{} of {}", common.len(), expected.len());
     for (key, message) in common {
         assert!(found[key] == *message, "{key:?}");
     }
@@ -134,7 +134,7 @@ fn a_killed_recording_is_mended() {
     assert!(streamed >= 10, "{streamed} messages");
 
     // It mends the file, and records.
-    let mut next = record(&setup, &file, &["--seconds", "1"]);
+    let mut next = record(&setup, &file, &["--seconds", "2"]);
     assert!(next.wait());
     let said = said(&setup);
     assert!(said.contains("roof-recovered.mcap: mended"), "{said}");
@@ -188,7 +188,7 @@ fn a_full_disk_leaves_a_file_that_is_read_at_once() {
     let _daemon = setup.daemon();
     let _ = setup.client();
     let _sensor = setup.sensor("vlp16", 600, 30.0);
-    let (file, said, left) = record_to_disk(&setup, "size=4m", 20, "");
+    let (file, said, left) = record_to_disk(&setup, "size=4m", 60, "");
     assert_eq!(left, ["roof.mcap"]);
     let expected = format!("error: cannot write {file}: No space left on device");
     assert!(said.contains(&expected), "{said}");
@@ -205,7 +205,7 @@ fn a_disk_that_takes_nothing_is_one_error() {
     let _ = setup.client();
     let _sensor = setup.sensor("vlp16", 600, 60.0);
     let gone =
-        "for _ in $(seq 200); do test -s $FILE.part && break; sleep 0.1; done\numount -l $DISK";
+        "for _ in $(seq 600); do test -s $FILE.part && break; sleep 0.1; done\numount -l $DISK";
     for (options, meanwhile, why) in [
         ("ro", "", "Read-only file system"),
         (
@@ -214,7 +214,7 @@ fn a_disk_that_takes_nothing_is_one_error() {
             "was removed or replaced while it was written",
         ),
     ] {
-        let (file, said, left) = record_to_disk(&setup, options, 5, meanwhile);
+        let (file, said, left) = record_to_disk(&setup, options, 60, meanwhile);
         let errors: Vec<&str> = said.lines().filter(|line| line.contains("error")).collect();
         assert!(
             errors.len() == 1 && errors[0].contains(&file) && errors[0].contains(why),

@@ -1,8 +1,11 @@
 //! What goes away while it runs, and comes back.
 
+use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
+
+use sweepd_testkit::PATIENCE;
 
 use crate::resource::world::{World, binary};
 
@@ -13,11 +16,7 @@ const DECODED: &str = "sweepd_sweeps_total{sensor=\"roof\"}";
 fn goes_on(world: &World) {
     let (begun, before) = (Instant::now(), world.metric(DECODED));
     while world.metric(DECODED) < before + 3 {
-        assert!(
-            begun.elapsed() < Duration::from_secs(20),
-            "no sweeps: {}",
-            world.log()
-        );
+        assert!(begun.elapsed() < PATIENCE, "no sweeps: {}", world.log());
         std::thread::sleep(Duration::from_millis(50));
     }
 }
@@ -68,8 +67,11 @@ fn without_descriptors_sweeps_go_on_and_health_answers_again_when_there_are_some
     let held: Vec<TcpStream> = (0..5)
         .map(|_| TcpStream::connect(("127.0.0.1", world.http)).unwrap())
         .collect();
-    assert_eq!(world.ask("/health").0, 0, "nobody can answer");
-    std::thread::sleep(Duration::from_secs(1));
+    let mut asks = &held[0];
+    asks.write_all(b"GET /health HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        .unwrap();
+    asks.set_read_timeout(Some(Duration::from_secs(3))).unwrap();
+    assert!(asks.read(&mut [0]).is_err(), "nobody can answer");
     limit(1024);
     drop(held);
     world.until_health(200, "streaming");
@@ -176,12 +178,7 @@ fn an_interface_that_goes_away_and_comes_back_is_listened_on_again() {
     world.until_it_says("cannot listen on interface lidar0");
     world.until_health(503, "cannot listen on interface lidar0");
     // An interface that was moved before that would stay in this network.
-    let network = |of: &str| std::fs::read_link(format!("/proc/{of}/ns/net")).unwrap();
-    let begun = Instant::now();
-    while network(&sensor.to_string()) == network("self") {
-        assert!(begun.elapsed() < Duration::from_secs(20), "no new network");
-        std::thread::sleep(Duration::from_millis(10));
-    }
+    world.until_own_network(sensor);
     for times in 1..=2 {
         world.inside(&format!(
             "ip link add lidar0 type veth peer name sensor0 netns {sensor}\nip address add 10.77.0.1/24 dev lidar0\n\

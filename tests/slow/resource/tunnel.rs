@@ -13,8 +13,8 @@ use std::time::{Duration, Instant};
 use crate::resource::world::{World, binary};
 use sweepd::client::{Client, Domain, Next};
 use sweepd::host::realtime_ns;
-use sweepd_testkit::TempDomain;
 use sweepd_testkit::temp_domain;
+use sweepd_testkit::{PATIENCE, TempDomain};
 
 /// What the tunnel reads from its folder, and its options on both hosts: those of the page.
 const ICEORYX2: &str = "config/iceoryx2.toml";
@@ -28,8 +28,6 @@ const OPTIONS: [&str; 7] = [
     "--poll",
     "1000",
 ];
-/// Longest that anything may take.
-const PATIENCE: Duration = Duration::from_secs(60);
 
 fn digest(bytes: &[u8]) -> u64 {
     let mut hasher = DefaultHasher::new();
@@ -71,8 +69,9 @@ impl Hosts {
             holder.args(["-n", "sleep", "300"]);
             here.background(holder)
         });
-        // Until they have their namespaces.
-        std::thread::sleep(Duration::from_millis(500));
+        for pid in [here_pid, there_pid] {
+            here.until_own_network(pid);
+        }
         here.configure("", "");
         let mut hosts = Self {
             program: program.expect("SWEEPD_TUNNEL=/path/to/iox2-link-tunnel-zenoh"),

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-use sweepd_testkit::TempDomain;
+use sweepd_testkit::{PATIENCE, TempDomain};
 use sweepd_testkit::{free_port, temp_domain};
 
 /// A daemon's folder, ports, and the daemon.
@@ -138,6 +138,17 @@ impl World {
         self.others.last().unwrap().id()
     }
 
+    /// Waits until one of those has a network of its own.
+    #[track_caller]
+    pub fn until_own_network(&self, id: u32) {
+        let network = |of: &str| fs::read_link(format!("/proc/{of}/ns/net")).unwrap();
+        let begun = Instant::now();
+        while network(&id.to_string()) == network("self") {
+            assert!(begun.elapsed() < PATIENCE, "no new network");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+
     /// Ends one of those.
     pub fn stop(&mut self, id: u32) {
         let child = self
@@ -194,7 +205,7 @@ impl World {
                 self.log()
             );
             assert!(
-                begun.elapsed() < Duration::from_secs(20),
+                begun.elapsed() < PATIENCE,
                 "does not say `{text}`: {}",
                 self.log()
             );
@@ -205,7 +216,7 @@ impl World {
     /// Status and body of a GET, from within its namespaces; status 0 where there is no answer.
     pub fn ask(&self, path: &str) -> (u16, String) {
         let script = format!(
-            "exec 3<>/dev/tcp/127.0.0.1/{}; printf 'GET {path} HTTP/1.1\\r\\nHost: localhost\\r\\n\\r\\n' >&3; timeout 5 cat <&3",
+            "exec 3<>/dev/tcp/127.0.0.1/{}; printf 'GET {path} HTTP/1.1\\r\\nHost: localhost\\r\\n\\r\\n' >&3; timeout 20 cat <&3",
             self.http
         );
         let answer = self
@@ -236,7 +247,7 @@ impl World {
                 return;
             }
             assert!(
-                begun.elapsed() < Duration::from_secs(20),
+                begun.elapsed() < PATIENCE,
                 "health is {found}, not {status} with `{text}`: {body}"
             );
             std::thread::sleep(Duration::from_millis(50));
@@ -259,7 +270,7 @@ impl World {
         let begun = Instant::now();
         while self.metric(name) < least {
             assert!(
-                begun.elapsed() < Duration::from_secs(20),
+                begun.elapsed() < PATIENCE,
                 "{name} stays under {least}: {}",
                 self.log()
             );
@@ -276,7 +287,7 @@ impl World {
                 return status;
             }
             assert!(
-                begun.elapsed() < Duration::from_secs(20),
+                begun.elapsed() < PATIENCE,
                 "it does not end: {}",
                 self.log()
             );

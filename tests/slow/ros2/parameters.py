@@ -49,7 +49,7 @@ def main():
     client.on_parameter_event(heard)
 
     def answer(future):
-        rclpy.spin_until_future_complete(node, future, timeout_sec=20)
+        rclpy.spin_until_future_complete(node, future, timeout_sec=60)
         return future.result()
 
     def set_to(**values):
@@ -67,7 +67,7 @@ def main():
         return next(filter(is_it, events))
 
     def wait_for(what, is_it):
-        end = time.monotonic() + 30
+        end = time.monotonic() + 60
         while not is_it():
             assert time.monotonic() < end, what
             rclpy.spin_once(node, timeout_sec=0.1)

@@ -194,7 +194,7 @@ mod tests {
     use std::time::Instant;
 
     const NEVER: Duration = Duration::from_secs(3_600);
-    const PATIENCE: Duration = Duration::from_secs(20);
+    const PATIENCE: Duration = Duration::from_secs(60);
 
     fn name(name: &str) -> StaticPeer {
         StaticPeer::Name(name.to_owned())

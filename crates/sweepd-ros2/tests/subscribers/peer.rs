@@ -8,7 +8,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 /// Longest wait for anything that a test waits for.
-pub const LONG: Duration = Duration::from_secs(20);
+pub const LONG: Duration = Duration::from_secs(60);
 
 const POINTS_TYPE: &str = "sensor_msgs::msg::dds_::PointCloud2_";
 

@@ -7,8 +7,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::{Folder, Ran, command, sweepd};
-use sweepd_testkit::tool;
-use sweepd_testkit::{program, root, temp_domain};
+use sweepd_testkit::{PATIENCE, program, root, temp_domain, tool};
 
 const HEAD: &str = "# Commands\n\nWhat `--help` says of each command. `SWEEPD_WRITE_PAGES=1 cargo test -p sweepd-tools --test cli \
                     commands_page` writes this page.\n";
@@ -114,7 +113,7 @@ fn bash_completes_commands_options_models_scenes_and_sensors() {
     let list = ["watch", "--list", "--root", root];
     let begun = Instant::now();
     while sweepd(&list).done() != "roof\n" {
-        assert!(begun.elapsed() < Duration::from_secs(20));
+        assert!(begun.elapsed() < PATIENCE);
         std::thread::sleep(Duration::from_millis(20));
     }
     for (line, expected) in [

@@ -2,11 +2,12 @@
 //! is counted.
 
 use std::collections::BTreeMap;
-use std::net::UdpSocket;
+use std::net::Ipv4Addr;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
+use sweepd::input::udp::{UdpConfig, UdpSource};
 
 use crate::{Folder, Ran, command, replay, sweepd, sweeps};
 
@@ -583,28 +584,28 @@ fn the_gps_receiver_has_satellites_when_configured() {
 
 /// The datagrams that a simulation sends to a socket, by the port that each sensor sends from.
 fn received(options: &[&str]) -> (BTreeMap<u16, Vec<Vec<u8>>>, Vec<Said>, Duration) {
-    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
-    socket
-        .set_read_timeout(Some(Duration::from_millis(100)))
-        .unwrap();
-    let to = socket.local_addr().unwrap().to_string();
+    let here = UdpConfig {
+        address: Ipv4Addr::LOCALHOST,
+        ..UdpConfig::port(0)
+    };
+    let mut socket = UdpSource::bind(&here).unwrap();
+    let to = socket.local_addr().to_string();
     let begun = Instant::now();
     let mut child = command(&[&["simulate", "--to", &to], options].concat())
         .stderr(std::process::Stdio::piped())
         .spawn()
         .expect("the binary runs");
     let mut ports = BTreeMap::<u16, Vec<Vec<u8>>>::new();
-    let mut buffer = [0; 2000];
     let mut took = None;
     loop {
-        match socket.recv_from(&mut buffer) {
-            Ok((len, from)) => ports
-                .entry(from.port())
-                .or_default()
-                .push(buffer[..len].to_vec()),
-            // Silent, and it was over before: all is here.
-            Err(_) if took.is_some() => break,
-            Err(_) => {}
+        let (wait, before) = (Duration::from_millis(100), socket.received());
+        for one in socket.receive(wait).unwrap() {
+            let of_port = ports.entry(one.source.port()).or_default();
+            of_port.push(one.payload.to_vec());
+        }
+        // Silent, and it was over before: all is here.
+        if took.is_some() && socket.received() == before {
+            break;
         }
         if took.is_none() && child.try_wait().unwrap().is_some() {
             took = Some(begun.elapsed());

@@ -1,9 +1,8 @@
 //! Databases with a few wrong bytes: whatever is in them, the program comes to its end, and SQLite
 //! does not crash it.
 
-use std::time::Instant;
-
 use fastrand::Rng;
+use sweepd_testkit::Stopwatch;
 use sweepd_testkit::mutate::mutated;
 
 use super::*;
@@ -22,7 +21,7 @@ fn a_database_with_wrong_bytes_is_read_or_refused() {
     for round in 0..ROUNDS {
         let input = mutated(&mut rng, &seed, &seed);
         fs::write(&path, &input).unwrap();
-        let begun = Instant::now();
+        let begun = Stopwatch::start();
         let outcome = outcome(&path);
         let says = outcome
             .as_ref()

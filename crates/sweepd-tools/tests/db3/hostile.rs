@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use super::*;
 
 /// A little more than the time after which a silent program is killed.
-const SOON: Duration = PATIENCE.saturating_add(Duration::from_secs(5));
+const SOON: Duration = PATIENCE.saturating_add(Duration::from_secs(60));
 
 /// What reading comes to: packets, and the error or the place where it breaks off.
 fn outcome(path: &Path) -> (usize, String) {

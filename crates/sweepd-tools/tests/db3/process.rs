@@ -10,7 +10,7 @@ use rustix::process::{Pid, Signal, kill_process, kill_process_group};
 
 use super::*;
 
-const PATIENT: Duration = Duration::from_secs(20);
+const PATIENT: Duration = Duration::from_secs(60);
 
 /// The process of `sweepd-db3` that reads this file.
 fn reader_of(path: &Path) -> Option<Pid> {

@@ -9,8 +9,8 @@ use sweepd::pipeline::Config;
 use sweepd::sensor::Model;
 use sweepd::sweep::SweepRef;
 use sweepd::wire::data::ReturnMode;
-use sweepd_testkit::TempDomain;
 use sweepd_testkit::stream::Spin;
+use sweepd_testkit::{PATIENCE, TempDomain};
 use tokio_tungstenite::tungstenite::Message;
 
 use crate::captures::{fixture, sweeps};
@@ -82,10 +82,10 @@ fn a_viewer_gets_what_it_subscribes_to_and_nothing_else() {
     let short = Duration::from_millis(300);
     assert!(message(&mut viewer, short).is_none());
     subscribe(&mut viewer, &[(70, MARKERS)]);
-    let (subscription, time, _) = message(&mut viewer, Duration::from_secs(5)).unwrap();
+    let (subscription, time, _) = message(&mut viewer, PATIENCE).unwrap();
     assert_eq!((subscription, time), (70, time_ns));
     let second = page.seek(1);
-    let (subscription, time, _) = message(&mut viewer, Duration::from_secs(5)).unwrap();
+    let (subscription, time, _) = message(&mut viewer, PATIENCE).unwrap();
     let time_ns = second.sweep().header.time_ns as u64;
     assert_eq!((subscription, time), (70, time_ns));
     assert!(message(&mut viewer, short).is_none());
@@ -95,7 +95,7 @@ fn a_viewer_gets_what_it_subscribes_to_and_nothing_else() {
     // Each second, at the time of what is shown.
     subscribe(&mut viewer, &[(70, DIAGNOSTICS)]);
     for _ in 0..2 {
-        let (_, time, bytes) = message(&mut viewer, Duration::from_secs(5)).unwrap();
+        let (_, time, bytes) = message(&mut viewer, PATIENCE).unwrap();
         let text = String::from_utf8_lossy(&bytes).into_owned();
         assert!(time > time_ns && text.contains("paused"), "{text}");
     }
@@ -127,7 +127,7 @@ fn a_floor_that_is_not_seen_is_told_to_page_and_viewer() {
     let mut viewer = view.viewer();
     advertised(&mut viewer, "points");
     subscribe(&mut viewer, &[(70, DIAGNOSTICS)]);
-    let (_, _, bytes) = message(&mut viewer, Duration::from_secs(5)).unwrap();
+    let (_, _, bytes) = message(&mut viewer, PATIENCE).unwrap();
     assert!(String::from_utf8_lossy(&bytes).contains(words));
 }
 
@@ -182,7 +182,7 @@ fn another_sensor_has_channels_of_its_own() {
         assert_eq!(advertised(&mut viewer, "points"), expected);
         let id = ids[0] as u32;
         subscribe(&mut viewer, &[(id, id)]);
-        let (subscription, time_ns, bytes) = message(&mut viewer, Duration::from_secs(5)).unwrap();
+        let (subscription, time_ns, bytes) = message(&mut viewer, PATIENCE).unwrap();
         let header = SweepRef::open(some[0].as_ref()).unwrap().header;
         assert_eq!((subscription, time_ns), (id, header.time_ns as u64));
         assert!(
@@ -192,7 +192,7 @@ fn another_sensor_has_channels_of_its_own() {
         );
         // Where it sits: its sweeps say that its nose points up.
         subscribe(&mut viewer, &[(1, 1)]);
-        while message(&mut viewer, Duration::from_secs(5)).unwrap().0 != 1 {}
+        while message(&mut viewer, PATIENCE).unwrap().0 != 1 {}
         viewer.ask(json!({ "op": "unsubscribe", "subscriptionIds": [1] }));
         page = view.page();
     }

@@ -58,7 +58,7 @@ fn publish_until(
     daemon: &mut Publisher,
     sweep: &impl AsRef<[u8]>,
 ) -> Value {
-    for _ in 0..20 {
+    for _ in 0..100 {
         if let Some(state) = page.words_within(words, Duration::from_secs(1)) {
             return state;
         }

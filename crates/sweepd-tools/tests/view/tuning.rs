@@ -8,6 +8,7 @@ use sweepd::daemon::config::Config as DaemonConfig;
 use sweepd::pipeline::Config;
 use sweepd::segment::Method;
 use sweepd::sweep::SweepRef;
+use sweepd_testkit::PATIENCE;
 
 use crate::captures::{calibrated, fixture, sweeps};
 use crate::page::{Page, Shown, View};
@@ -111,7 +112,8 @@ fn of_many_changes_the_newest_is_shown_at_last() {
     let mut shown = 0;
     let mut fewest = 0;
     // Behind the newest there is none.
-    let patience = |fewest| Duration::from_secs(if fewest < 200 { 20 } else { 1 });
+    let behind = Duration::from_secs(1);
+    let patience = |fewest| if fewest < 200 { PATIENCE } else { behind };
     while let Some(tuned) = page.sweep_within(patience(fewest)) {
         shown += 1;
         let points = tuned.sweep().segments.iter().map(|segment| segment.points);
