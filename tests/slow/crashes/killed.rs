@@ -8,6 +8,7 @@ use sweepd_testkit::setup::{Process, SOON, Setup};
 
 #[test]
 fn consumers_go_on_when_the_daemon_is_killed_in_the_middle_of_a_sweep() {
+    let _alone = sweepd_testkit::alone();
     let setup = Setup::new("", "");
     let mut daemon = setup.daemon();
     let mut client = setup.client();
@@ -43,6 +44,7 @@ fn consumers_go_on_when_the_daemon_is_killed_in_the_middle_of_a_sweep() {
 
 #[test]
 fn consumers_killed_while_they_hold_sweeps_cost_the_others_none() {
+    let _alone = sweepd_testkit::alone();
     let setup = Setup::new("max_consumers = 2", "");
     let mut daemon = setup.daemon();
     let mut client = setup.client();

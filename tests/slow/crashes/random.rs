@@ -36,6 +36,7 @@ fn victim(robot: &Robot, torn: Option<&Torn>) -> Command {
 /// Kills consumers and daemons, and prints what the others saw of it. Those in C and a client in Rust
 /// compare all sweeps that they get.
 fn kill(consumers: usize, daemons: usize) {
+    let _alone = sweepd_testkit::alone();
     let mut random = fastrand::Rng::with_seed(1);
     let mut robot = Robot::start();
     let torn = cfg!(not(without_compilers)).then(|| Torn::start(&robot.setup));

@@ -38,6 +38,7 @@ fn is_a_reason(daemon: &Daemon, words: &str) -> bool {
 
 #[test]
 fn ready_is_said_when_all_ports_are_bound_and_sigterm_ends_it_at_once() {
+    let _alone = sweepd_testkit::alone();
     let ports = [free_port(), free_port()];
     let mut daemon = Daemon::start(&[[71, ports[0], ports[1]]], free_port(), WATCHDOG);
     daemon.until_ready();

@@ -105,6 +105,7 @@ type Case = (&'static str, Vec<u8>, &'static [Option<u16>]);
 
 #[test]
 fn what_is_no_request_or_too_large_is_refused_at_once_and_keeps_no_memory() {
+    let _alone = sweepd_testkit::alone();
     let (daemon, _) = daemon(80);
     let long_path = format!(
         "GET /{} HTTP/1.1\r\nHost: localhost\r\n\r\n",
@@ -206,6 +207,7 @@ fn what_is_no_request_or_too_large_is_refused_at_once_and_keeps_no_memory() {
 
 #[test]
 fn a_connection_is_for_one_request() {
+    let _alone = sweepd_testkit::alone();
     let (daemon, _) = daemon(81);
     let two = answer(
         &daemon,
