@@ -4,13 +4,13 @@ use std::fs;
 use std::time::{Duration, Instant};
 
 /// A stopwatch that stands while a thread of this machine waits for a core or a disk: it shows what
-/// programs take, not what others take from them. It shows nothing where the kernel does not tell
-/// (`/proc/pressure`).
+/// programs take, not what others take from them. Where the kernel does not tell (`/proc/pressure`),
+/// it never stands.
 #[derive(Clone, Copy, Debug)]
 pub struct Stopwatch {
     /// When it was started.
     pub begun: Instant,
-    waited: Option<Duration>,
+    waited: Duration,
 }
 
 impl Stopwatch {
@@ -25,19 +25,16 @@ impl Stopwatch {
     /// The time that it shows.
     pub fn elapsed(&self) -> Duration {
         let elapsed = self.begun.elapsed();
-        let others =
-            Option::zip(waited(), self.waited).map(|(now, before)| now.saturating_sub(before));
-        others.map_or(Duration::ZERO, |others| elapsed.saturating_sub(others))
+        let others = waited().saturating_sub(self.waited);
+        elapsed.saturating_sub(others)
     }
 }
 
 /// How long threads of this machine have waited for a core or a disk so far, one or several at a time.
-fn waited() -> Option<Duration> {
-    let files = ["/proc/pressure/cpu", "/proc/pressure/io"];
-    files
-        .map(|file| total(&fs::read_to_string(file).ok()?))
-        .into_iter()
-        .sum()
+fn waited() -> Duration {
+    let files = ["/proc/pressure/cpu", "/proc/pressure/io"].into_iter();
+    let told = files.filter_map(|file| total(&fs::read_to_string(file).ok()?));
+    told.sum()
 }
 
 /// The microseconds at the end of the first line of such a file.
