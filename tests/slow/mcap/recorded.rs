@@ -214,7 +214,7 @@ fn a_disk_that_takes_nothing_is_one_error() {
             "was removed or replaced while it was written",
         ),
     ] {
-        let (file, said, left) = record_to_disk(&setup, options, 60, meanwhile);
+        let (file, said, left) = record_to_disk(&setup, options, 10, meanwhile);
         let errors: Vec<&str> = said.lines().filter(|line| line.contains("error")).collect();
         assert!(
             errors.len() == 1 && errors[0].contains(&file) && errors[0].contains(why),

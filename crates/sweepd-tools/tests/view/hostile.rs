@@ -188,6 +188,8 @@ fn only_programs_and_known_pages_may_read_as_viewers() {
 #[test]
 fn a_viewer_that_means_no_good_costs_nothing() {
     let view = View::start(&["--simulate", "vlp16"]);
+    // Sweeps are kept, more the longer it plays.
+    view.page().pause();
     let resident_kb = || {
         let path = format!("/proc/{}/status", view.process.child.id());
         let status = std::fs::read_to_string(path).unwrap();
