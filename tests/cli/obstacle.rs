@@ -290,6 +290,7 @@ fn packets_that_come_are_judged() {
 /// What is judged is what the daemon runs with: its tilt, which is not told here.
 #[test]
 fn a_running_daemon_is_asked() {
+    let _alone = sweepd_testkit::alone();
     let mount = format!("mount = {{ pitch_deg = {PITCH_DEG:?}, height_m = {HEIGHT_M} }}");
     let setup = Setup::new(&mount, "");
     let _daemon = setup.daemon();

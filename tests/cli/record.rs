@@ -340,6 +340,7 @@ const FAST_ROTATION: [&str; 4] = ["--rotate-mb", "1", "--rotate-seconds", "0.5"]
 
 #[test]
 fn an_hdl64e_with_two_returns_is_recorded_whole_while_files_rotate() {
+    let _alone = sweepd_testkit::alone();
     let (folder, sensor, sent) = (Folder::new("record-rate"), sender(), hdl64e_dual());
     let recorder = Recorder::start(&folder.path("hdl64e.pcap"), &FAST_ROTATION);
     let has_small_buffer = recorder.announced.contains("net.core.rmem_max");

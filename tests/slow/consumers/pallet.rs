@@ -166,6 +166,7 @@ fn told_in_time(client: &mut Client) -> (RangeInclusive<u64>, bool) {
     ignore = "no SWEEPD_PYTHON, or no compilers"
 )]
 fn a_corridor_is_free_until_pallets_come() {
+    let _alone = sweepd_testkit::alone();
     for seed in 1..=6 {
         let setup = Setup::new("mount = { z_m = 0.4, height_m = 0.4 }", "");
         let _daemon = setup.daemon();

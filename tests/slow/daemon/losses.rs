@@ -61,6 +61,7 @@ fn until_told(daemon: &Daemon, words: &str) -> String {
 
 #[test]
 fn a_loss_of_a_tenth_is_a_warning_with_its_cause_and_is_logged_twice_in_all() {
+    let _alone = sweepd_testkit::alone();
     let (daemon, [port]) = daemon([101]);
     let lossless = Duration::from_secs(12);
     let sent = lossy(30.0, 10, lossless);

@@ -582,6 +582,7 @@ fn foreign_datagrams_are_counted() -> bool {
 /// ones: those cost nothing but where other programs have the cores for longer than the buffer holds.
 #[test]
 fn bursts_of_others_cost_a_sensor_nothing_from_the_second_on() {
+    let _alone = sweepd_testkit::alone();
     let (rig, sweeps) = Rig::new();
     let data = free_port();
     let runtime = Runtime::start(

@@ -84,7 +84,7 @@ fn a_node_with_use_sim_time_lives_in_a_replay() {
         .iter()
         .filter(|off_ns| off_ns.abs() <= TURN_NS)
         .count();
-    assert!(within * 2 > off_ns.len() && within > 60, "{off_ns:?}");
+    assert!(within * 10 >= off_ns.len() * 9 && within > 60, "{off_ns:?}");
     // The peer may be quicker than who reads the log.
     let told = || bridge.log().matches("/clock goes back by").count();
     let begun = Instant::now();
