@@ -95,12 +95,14 @@ fn every_command_of_a_page_runs_tests() {
         }
         assert!(!tests.is_empty(), "{command}: no such tests");
         for filter in filters {
-            let fits = |path: &String| {
-                path.split(['/', '.']).any(|part| part.contains(filter))
+            let is_in = |name: &str, path: &str| {
+                path.split(['/', '.']).any(|part| part.contains(name))
                     || text(path)
                         .lines()
-                        .any(|line| line.trim_start().starts_with("fn ") && line.contains(filter))
+                        .any(|line| line.trim_start().starts_with("fn ") && line.contains(name))
             };
+            // Rooms, and the beginning of a name.
+            let fits = |path: &String| filter.split("::").all(|name| is_in(name, path));
             assert!(
                 tests.iter().any(fits),
                 "{command}: nothing is called {filter}"

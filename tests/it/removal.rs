@@ -1,7 +1,7 @@
 //! Returns that are removed, against a robot whose place the simulator knows, and against plain
 //! sweeps.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use sweepd::assemble::{BodyBox, Removal};
 use sweepd::pipeline::Config;
@@ -76,7 +76,7 @@ fn returns(run: &Run) -> HashMap<Place, Return> {
 }
 
 /// The places that a run lacks of a plain one; what is left is as it was.
-fn removed(plain: &HashMap<Place, Return>, run: &Run) -> Vec<Place> {
+fn removed(plain: &HashMap<Place, Return>, run: &Run) -> HashSet<Place> {
     let left = returns(run);
     for (place, one) in &left {
         let before = &plain[place];
@@ -92,7 +92,7 @@ fn removed(plain: &HashMap<Place, Return>, run: &Run) -> Vec<Place> {
             "{place:?}"
         );
     }
-    let gone: Vec<Place> = plain
+    let gone: HashSet<Place> = plain
         .keys()
         .filter(|place| !left.contains_key(*place))
         .copied()

@@ -30,3 +30,16 @@ pub fn are_all() -> bool {
 pub fn has(case: usize) -> bool {
     chosen().find(|chosen| *chosen >= case) == Some(case)
 }
+
+/// Counter of the cases of a test that nests loops.
+#[derive(Default)]
+pub struct Cases(usize);
+
+impl Cases {
+    /// Counts the next case, and says whether it runs.
+    pub fn takes(&mut self) -> bool {
+        let case = self.0;
+        self.0 += 1;
+        has(case)
+    }
+}
