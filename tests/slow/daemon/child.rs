@@ -120,7 +120,7 @@ impl Daemon {
         let mut child = Command::new(std::env::current_exe().unwrap())
             .args([
                 "--exact",
-                "child::runs_a_daemon",
+                "daemon::child::runs_a_daemon",
                 "--ignored",
                 "--nocapture",
             ])
