@@ -176,7 +176,6 @@ fn try_kinds(kinds: &[Kind]) -> Vec<String> {
 
 #[test]
 fn deleted_files_are_made_again_and_reported_and_all_consumers_continue() {
-    let _alone = sweepd_testkit::alone();
     let faults = std::thread::scope(|scope| {
         let (left, right) = KINDS.split_at(KINDS.len() / 2);
         let left = scope.spawn(|| try_kinds(left));

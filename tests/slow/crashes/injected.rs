@@ -332,7 +332,6 @@ impl Round {
 
 /// Kills a victim at its calls: at all in this many rounds side by side, at an eighth in one.
 fn kill_everywhere(victim: Victim, rounds: usize) {
-    let _alone = sweepd_testkit::alone();
     // With fewer kills each, their files would not be compared.
     let rounds = if cases::are_all() { rounds } else { 1 };
     let points: Vec<Point> = {

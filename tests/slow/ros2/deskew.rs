@@ -14,9 +14,9 @@ use sweepd::sweep::Pose;
 use sweepd_lab::simulate::Emitter;
 use sweepd_testkit::{PATIENCE, Process};
 
-use super::alone;
 use super::events::{number, values};
 use super::expected::STEP;
+use super::hurry;
 use super::peer::{Peer, Said};
 use super::world::World;
 use sweepd_testkit::setup::sweepd;
@@ -126,7 +126,7 @@ fn wait_for_diagnosis(peer: &mut Peer, why: &str) {
     ignore = "no peers of ROS 2: SWEEPD_JAZZY, SWEEPD_KILTED, SWEEPD_ROS_PYTHON, libfastrtps-dev"
 )]
 fn odometry_makes_a_wall_flat_and_without_it_the_cloud_is_raw() {
-    let _alone = alone();
+    hurry("-10");
     let world = World::new(&[]);
     let (capture, start_ns) = record(&world);
     let parameters = ["deskew:=odom", "health:=", "stamp:=middle"];
@@ -190,7 +190,7 @@ fn odometry_makes_a_wall_flat_and_without_it_the_cloud_is_raw() {
     ignore = "no peers of ROS 2: SWEEPD_JAZZY, SWEEPD_KILTED, SWEEPD_ROS_PYTHON, libfastrtps-dev"
 )]
 fn transforms_make_a_wall_flat_too() {
-    let _alone = alone();
+    hurry("-10");
     let world = World::new(&[]);
     let (capture, start_ns) = record(&world);
     let parameters = ["--ros-args", "-p", "deskew:=tf", "-p", "health:="];

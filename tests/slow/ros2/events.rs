@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use sweepd::host::realtime_ns;
 use sweepd_testkit::{PATIENCE, Signal};
 
-use super::alone;
+use super::hurry;
 use super::peer::Peer;
 use super::world::{ROOF_MOUNT, World, vlp16};
 
@@ -54,7 +54,7 @@ fn cloud_after(peer: &mut Peer, what: &str, moment_ns: i64) {
     ignore = "no peers of ROS 2: SWEEPD_JAZZY, SWEEPD_KILTED, SWEEPD_ROS_PYTHON, libfastrtps-dev"
 )]
 fn what_comes_goes_or_dies_stops_nothing() {
-    let _alone = alone();
+    hurry("-10");
     let world = World::new(&[("roof", ROOF_MOUNT), ("front", "")]);
     let vlp16 = vlp16();
     let mut bridge = world.bridge(

@@ -8,9 +8,9 @@ use serde_json::json;
 use sweepd::sweep::layout::flags;
 use sweepd_testkit::PATIENCE;
 
-use super::alone;
 use super::events::{number, values};
 use super::expected::{Consumer, STEP};
+use super::hurry;
 use super::peer::Peer;
 use super::world::{ROOF_MOUNT, World, vlp16};
 
@@ -30,7 +30,7 @@ type Clouds = BTreeMap<String, Vec<u8>>;
     ignore = "no peers of ROS 2: SWEEPD_JAZZY, SWEEPD_KILTED, SWEEPD_ROS_PYTHON, libfastrtps-dev"
 )]
 fn parts_add_up_and_are_of_whole_turns() {
-    let _alone = alone();
+    hurry("-10");
     let world = World::new(&[("roof", ROOF_MOUNT)]);
     let vlp16 = vlp16();
     let _daemon = world.daemon();

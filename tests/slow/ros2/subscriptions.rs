@@ -9,7 +9,7 @@ use sweepd_messages::message_type::POINT_CLOUD;
 use sweepd_ros2::{DiscoveryRange, Environment, Node, Quality, Subscription};
 use sweepd_testkit::PATIENCE;
 
-use super::alone;
+use super::hurry;
 use super::peer::Peer;
 
 /// Messages that each subscription gets.
@@ -75,7 +75,7 @@ fn node(dds_domain: u32) -> Node {
 
 /// Holds a kind of publishers to what they send.
 fn hears(dds_domain: u32, start: impl Fn() -> Peer) {
-    let _alone = alone();
+    hurry("-10");
     let publisher = start().ready();
     thread::sleep(Duration::from_secs(1));
     let node = node(dds_domain);
