@@ -3,9 +3,10 @@
 
 mod cloud;
 
-use sweepd_testkit::counting::{self, ALLOCATIONS, Counting};
-use sweepd_testkit::stream;
-use sweepd_testkit::stream::next_sweep;
+use sweepd_testkit::{
+    counting::{self, ALLOCATIONS, Counting},
+    stream::{self, next_sweep},
+};
 
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};

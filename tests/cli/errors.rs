@@ -3,8 +3,7 @@
 use std::process::{Command, Stdio};
 
 use crate::{Folder, Ran, command, fixture, inspect, made, replay, sweepd, sweepd_with_stdin};
-use sweepd_testkit::bags::mcap;
-use sweepd_testkit::scan;
+use sweepd_testkit::{bags::mcap, scan};
 
 #[test]
 fn what_is_no_capture_is_named_by_both_commands() {

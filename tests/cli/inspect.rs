@@ -10,8 +10,7 @@ use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::cast::{Scene, Sensor, Spin, small_box};
 use sweepd_lab::simulate::{Emitter, EmitterConfig, Setting};
-use sweepd_testkit::data_dir;
-use sweepd_testkit::stream;
+use sweepd_testkit::{data_dir, stream};
 
 /// The value of a row of the text.
 fn row<'a>(text: &'a str, name: &str) -> &'a str {

@@ -13,9 +13,11 @@ use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::{Emitter, EmitterConfig, street};
 
-use sweepd_testkit::bags::mcap;
-use sweepd_testkit::command::*;
-use sweepd_testkit::setup::{Process, SOON, Setup};
+use sweepd_testkit::{
+    bags::mcap,
+    command::*,
+    setup::{Process, SOON, Setup},
+};
 
 #[test]
 fn a_pipe_in_place_of_a_file_is_refused_and_not_waited_for() {

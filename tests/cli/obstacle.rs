@@ -13,8 +13,7 @@ use sweepd::sensor::Model;
 use sweepd_lab::cast::{Scene, Sensor, Solid, Spin};
 
 use crate::{Folder, Ran, command, fixture};
-use sweepd_testkit::setup::Setup;
-use sweepd_testkit::temp_domain;
+use sweepd_testkit::{setup::Setup, temp_domain};
 
 /// Tilt of the sensor, nose down, and its height above the floor.
 const PITCH_DEG: f64 = -10.0;

@@ -11,8 +11,7 @@ use zerocopy::FromBytes;
 
 use crate::made::{Sent, datagrams, pcap, pcapng, together, vlp16, with_ports};
 use crate::{Folder, fixture, replay, sweeps};
-use sweepd_testkit::bags::mcap;
-use sweepd_testkit::scan;
+use sweepd_testkit::{bags::mcap, scan};
 
 /// The sweeps of a replay with these options, all of them, in their own bytes; and what it said.
 fn raw(folder: &Folder, capture: &Path, options: &[&str]) -> (Vec<u8>, String) {

@@ -1,8 +1,7 @@
 //! What `sweepd replay --publish` says of names and sensors.
 
 use crate::{Folder, Ran, fixture, made, sweepd};
-use sweepd_testkit::TempDomain;
-use sweepd_testkit::temp_domain;
+use sweepd_testkit::{TempDomain, temp_domain};
 
 fn publish(own: &TempDomain, capture: &std::path::Path, names: &[&str], options: &[&str]) -> Ran {
     let names: Vec<&str> = names.iter().flat_map(|name| ["--publish", name]).collect();

@@ -6,8 +6,10 @@ use serde_json::{Value, json};
 use sweepd_testkit::PATIENCE;
 
 use crate::{Ran, sweepd};
-use sweepd_testkit::free_port;
-use sweepd_testkit::web_page::{Fault, WebPage};
+use sweepd_testkit::{
+    free_port,
+    web_page::{Fault, WebPage},
+};
 
 fn sensor(page: &WebPage, words: &[&str]) -> Ran {
     let address = page.address();

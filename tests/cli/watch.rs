@@ -8,8 +8,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::{Folder, Ran, command, fixture, replay, sweepd, sweeps};
-use sweepd_testkit::temp_domain;
-use sweepd_testkit::{PATIENCE, TempDomain};
+use sweepd_testkit::{PATIENCE, TempDomain, temp_domain};
 
 /// The binary in a domain of the test's own.
 fn within(own: &TempDomain, args: &[&str]) -> Command {

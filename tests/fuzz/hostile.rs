@@ -1,7 +1,9 @@
 //! Inputs that are made to take all the time or all the memory there is.
 
-use sweepd_testkit::bags::{compress, mcap, ros1};
-use sweepd_testkit::scan::{SCAN, cdr};
+use sweepd_testkit::{
+    bags::{compress, mcap, ros1},
+    scan::{SCAN, cdr},
+};
 
 /// What might bring the target of this name to its knees; as long as the files may be that are
 /// read.

@@ -16,8 +16,10 @@ use sweepd::wire::position::POSITION_PACKET_LEN;
 use sweepd_lab::simulate::unit::unit;
 use sweepd_messages::{Cloud, MessageHeader, Stamp};
 
-use sweepd_testkit::bags::{self, mcap, ros1};
-use sweepd_testkit::scan;
+use sweepd_testkit::{
+    bags::{self, mcap, ros1},
+    scan,
+};
 
 type Inputs = Vec<Vec<u8>>;
 
@@ -756,7 +758,7 @@ const CONTROL: [&str; 5] = [
     r#"{"Refused": "no sensor is called so"}"#,
 ];
 
-const HEALTH: &str = r#"{"status": "warning", "version": "0.4.0", "root": "/run/sweepd", "reasons": ["roof: losing: 3 %"],
+const HEALTH: &str = r#"{"status": "warning", "version": "9", "root": "/run/sweepd", "reasons": ["roof: losing: 3 %"],
     "findings": [{"severity": "warning", "topic": "loss", "what": "roof: 3 % of the packets are lost", "cure": "look at\nthe switch",
         "sensor": "roof", "asks": true}],
     "sensors": [{"name": "roof", "state": "streaming", "model": "vlp16", "is_fault": false, "reason": "3 %", "rpm": 600.1,

@@ -5,8 +5,10 @@ use std::io::Cursor;
 use std::path::Path;
 
 use sweepd::input::{Capture, CaptureCounts};
-use sweepd_testkit::bags::{self, ROS1_SCAN, mcap, ros1, ros1_scan};
-use sweepd_testkit::scan::{SCAN, Stamped, cdr};
+use sweepd_testkit::{
+    bags::{self, ROS1_SCAN, mcap, ros1, ros1_scan},
+    scan::{SCAN, Stamped, cdr},
+};
 
 const S: i64 = 1_000_000_000;
 const MS: i64 = 1_000_000;

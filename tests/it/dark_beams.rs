@@ -13,9 +13,7 @@ use sweepd::wire::data::{DataPacket, ReturnMode};
 use sweepd_lab::simulate::{Emitter, EmitterConfig, SimulatedDatagram, fixtures};
 use sweepd_testkit::stream::{self, Sent, Spin, next_sweep};
 
-use sweepd_testkit::data_dir;
-use sweepd_testkit::raw;
-use sweepd_testkit::run::Run;
+use sweepd_testkit::{data_dir, raw, run::Run};
 
 /// A sensor of which these channels are dark for a part of its turns: from, to.
 fn silenced(spin: &Spin, turns: f64, dark: &[(usize, f64, f64)]) -> Vec<Sent> {

@@ -13,9 +13,7 @@ use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::flags;
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::{Emitter, EmitterConfig, EyeFault, EyeKind, Scene, Setting};
-use sweepd_testkit::cases::Cases;
-use sweepd_testkit::stream;
-use sweepd_testkit::{data_dir_if_any, root};
+use sweepd_testkit::{cases::Cases, data_dir_if_any, root, stream};
 
 /// Bits of the header, as docs/layout.md has them.
 const BLIND: u32 = 0x100;

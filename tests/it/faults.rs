@@ -2,8 +2,10 @@
 
 use std::collections::BTreeSet;
 use sweepd::sensor::ModelExt;
-use sweepd_testkit::cases::{self, Cases};
-use sweepd_testkit::stream;
+use sweepd_testkit::{
+    cases::{self, Cases},
+    stream,
+};
 
 use proptest::prelude::*;
 use sweepd::buffers::{HeapBuffers, Memory};

@@ -8,8 +8,10 @@ use sweepd::sensor::ModelExt;
 use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::flags::{BLANKED, CIRCULAR, PARTIAL};
 use sweepd::wire::data::ReturnMode::{self, Dual, Strongest};
-use sweepd_testkit::due;
-use sweepd_testkit::stream::{Run, Sent, Spin, config, cut_at, datagram, next_sweep, unit};
+use sweepd_testkit::{
+    due,
+    stream::{Run, Sent, Spin, config, cut_at, datagram, next_sweep, unit},
+};
 
 const KINDS: [(Model, ReturnMode); 6] = [
     (Vlp16, Strongest),

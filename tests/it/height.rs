@@ -20,10 +20,7 @@ use sweepd_lab::cloud::{COLUMNS, CloudProjector, points};
 use sweepd_lab::simulate::Setting;
 use sweepd_lab::twin;
 
-use sweepd_testkit::cases;
-use sweepd_testkit::run::Runner;
-use sweepd_testkit::simulated::Simulated;
-use sweepd_testkit::{data_dir, data_dir_if_any};
+use sweepd_testkit::{cases, data_dir, data_dir_if_any, run::Runner, simulated::Simulated};
 
 /// Height, if one is said, and doubt.
 type Said = (Option<f32>, u32);

@@ -13,9 +13,11 @@ use sweepd::sweep::objects::why;
 use sweepd::wire::Datagram;
 use sweepd::wire::data::ReturnMode::Strongest;
 use sweepd_lab::simulate::{Emitter, EmitterConfig, Rates, deliver, fixtures};
-use sweepd_testkit::data_dir_if_any;
-use sweepd_testkit::objects::{Listener, Tally};
-use sweepd_testkit::stream::push;
+use sweepd_testkit::{
+    data_dir_if_any,
+    objects::{Listener, Tally},
+    stream::push,
+};
 
 /// A pipeline that tells objects, and its listener.
 struct Run {

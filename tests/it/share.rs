@@ -16,9 +16,11 @@ use sweepd::sweep::objects::{self, MESSAGE_BYTES, Object, Sending, flags};
 use sweepd::sweep::{Shape, SweepMut, SweepRef};
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::{Emitter, EmitterConfig, fixtures};
-use sweepd_testkit::stream::{Sent, Spin, config, datagram, next_sweep, unit};
-use sweepd_testkit::temp_domain;
-use sweepd_testkit::{PATIENCE, TempDomain};
+use sweepd_testkit::{
+    PATIENCE, TempDomain,
+    stream::{Sent, Spin, config, datagram, next_sweep, unit},
+    temp_domain,
+};
 
 /// Longest wait for what comes at once where this process has a core.
 const SOON: Duration = PATIENCE;

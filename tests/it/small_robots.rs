@@ -6,8 +6,7 @@ use sweepd::sensor::Model;
 use sweepd::sweep::Pose;
 use sweepd::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND};
 use sweepd_lab::simulate::{Class, ReturnTruth, Setting};
-use sweepd_testkit::run::Placed;
-use sweepd_testkit::simulated::Simulated;
+use sweepd_testkit::{run::Placed, simulated::Simulated};
 
 /// The scenes with a level floor.
 const INDOORS: [Setting; 3] = [Setting::Room, Setting::Corridor, Setting::Warehouse];

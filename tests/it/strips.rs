@@ -10,8 +10,7 @@ use sweepd::segment::{self, Mount, Segmenter};
 use sweepd::sweep::layout::flags;
 use sweepd::sweep::{SweepMut, SweepRef};
 use sweepd_lab::twin;
-use sweepd_testkit::data_dir_if_any;
-use sweepd_testkit::run::Runner;
+use sweepd_testkit::{data_dir_if_any, run::Runner};
 
 fn captures() -> Vec<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("pcap_fixtures");

@@ -7,9 +7,11 @@ use sweepd::sweep::layout::{TimeSource, flags};
 use sweepd::sweep::{Column, SweepRef};
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::{Emitter, EmitterConfig, SimulatedDatagram, fixtures};
-use sweepd_testkit::due;
-use sweepd_testkit::raw::{self, RawPacket};
-use sweepd_testkit::run::{Run, Runner};
+use sweepd_testkit::{
+    due,
+    raw::{self, RawPacket},
+    run::{Run, Runner},
+};
 
 /// Every capture of a supported model, and the speed of its head, turns a minute.
 const CAPTURES: [(&str, Model, f64); 8] = [

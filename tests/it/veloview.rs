@@ -1,8 +1,10 @@
 //! Points that VeloView's own tests record for two captures (shared/data/README.md): where another
 //! driver, by other people, puts the same bytes.
 
-use sweepd_testkit::raw::{self, BLOCKS, RECORDS, RawPacket};
-use sweepd_testkit::run::Run;
+use sweepd_testkit::{
+    raw::{self, BLOCKS, RECORDS, RawPacket},
+    run::Run,
+};
 
 /// Where a return stands: packet, block, record.
 type Place = (u64, usize, usize);

@@ -9,9 +9,11 @@ use sweepd_lab::simulate::gps::Clock;
 use sweepd_lab::simulate::{
     ClockStep, Emitter, EmitterConfig, Faults, FieldOfView, SimulatedDatagram, deliver, fixtures,
 };
-use sweepd_testkit::raw;
-use sweepd_testkit::run::{Placed, Run};
-use sweepd_testkit::same::same;
+use sweepd_testkit::{
+    raw,
+    run::{Placed, Run},
+    same::same,
+};
 
 const VLP32C: &str = "vlp32c_nebula-fov180-a";
 const VLS128: &str = "vls128_nebula-a";

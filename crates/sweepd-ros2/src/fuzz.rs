@@ -24,7 +24,7 @@ static TARGETS: [Target; 2] = [
         name: "health_of_node",
         run: health::fuzz,
         seeds: &[
-            r#"{"status": "warning", "root": "/run/sweepd", "reasons": ["roof: losing"], "version": "0.4.0", "pid": 7,
+            r#"{"status": "warning", "root": "/run/sweepd", "reasons": ["roof: losing"], "version": "9", "pid": 7,
             "sensors": [{"name": "roof", "state": "streaming", "is_fault": false, "reason": "3 %", "gps": "locked", "packets": 9,
             "refused": {"too_short": 1, "other": {"deep": 2}}}], "ports": [{"name": "port 2368", "port": 2368, "dropped": 5}]}"#,
         ],

@@ -2,9 +2,12 @@
 //! ports, programs in processes of their own, packets, captures and bags made by hand, and readers that share no code
 //! with the driver.
 
+#![deny(unsafe_code)]
+
 pub mod bags;
 pub mod cases;
 pub mod command;
+#[allow(unsafe_code)]
 pub mod counting;
 pub mod daemon;
 pub mod domain;
@@ -35,7 +38,7 @@ use std::fmt::{self, Debug, Display, Formatter};
 
 pub use daemon::Daemon;
 pub use domain::{TempDomain, temp_domain};
-pub use pool::{Alone, alone};
+pub use pool::{Alone, alone, share};
 pub use port::{ReservedPort, free_port};
 pub use process::{PATIENCE, Process};
 pub use python::{python, python_package, python_with_numpy};

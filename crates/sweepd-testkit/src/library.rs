@@ -4,11 +4,12 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
 
-use super::root;
+use crate::{pool, root};
 
 /// An example of the client in Rust, built as these tests are, with the same features: `cargo test`
 /// has done so before.
 pub fn rust_example(name: &str) -> PathBuf {
+    pool::share();
     build(&["--example", name]);
     profile().join("examples").join(name)
 }
@@ -16,6 +17,8 @@ pub fn rust_example(name: &str) -> PathBuf {
 /// The folder of libsweepd, which no test makes cargo build: with the same features, that takes
 /// nothing else.
 pub fn library() -> &'static Path {
+    // Before the lock, for which one that is alone may wait.
+    pool::share();
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
     FOLDER.get_or_init(|| {
         build(&["--lib", "--example", "consumer"]);

@@ -1,4 +1,4 @@
-//! Tests side by side in one program. Most of them wait, and share it; one that measures time has it alone.
+//! Tests of one program run side by side, as most of them wait; one that measures time runs alone.
 
 use std::cell::RefCell;
 use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
@@ -19,12 +19,13 @@ enum Held {
     Alone,
 }
 
-/// Right of a test to be the only one that starts programs.
+/// Right of a test to be the only one that holds the pool.
 pub struct Alone {
     _pool: RwLockWriteGuard<'static, ()>,
 }
 
-/// Waits until no other test of this program runs that shares the pool. A test that measures time begins with it.
+/// Waits until no other test of this program runs that shares the pool. A test that measures time begins with
+/// it; a second call in one that is alone never returns.
 pub fn alone() -> Alone {
     HELD.set(Held::Nothing);
     let pool = POOL.write().unwrap_or_else(PoisonError::into_inner);
@@ -38,9 +39,9 @@ impl Drop for Alone {
     }
 }
 
-/// Waits until no test is alone; then none is before this one has ended. What starts programs, and what they need,
-/// calls it.
-pub(crate) fn share() {
+/// Waits while a test is alone, and keeps others from being alone until this test ends. What starts a program, or makes
+/// what one needs, calls it.
+pub fn share() {
     HELD.with_borrow_mut(|held| {
         if matches!(held, Held::Nothing) && is_of_a_test() {
             *held = Held::Shared {

@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 use crate::{library, root};
 
 const VELODYNE_DECODER: &str = "3.1.0";
-/// Its first number.
+/// First number of its version.
 const NUMPY: &str = "2";
 
 /// The Python interpreter `SWEEPD_PYTHON`, with the right velodyne-decoder.
@@ -28,7 +28,7 @@ pub fn python_package() -> [(&'static str, PathBuf); 2] {
     ]
 }
 
-/// The same, with NumPy.
+/// The Python interpreter `SWEEPD_PYTHON`, with NumPy.
 pub fn python_with_numpy() -> OsString {
     python_that_says(
         "import numpy; print(numpy.__version__.split('.')[0])",

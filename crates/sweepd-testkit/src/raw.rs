@@ -36,7 +36,7 @@ impl RawPacket {
     }
 
     /// Records of a block whose distance is not 0.
-    pub fn returns_of(&self, block: usize) -> u32 {
+    fn returns_of(&self, block: usize) -> u32 {
         (0..RECORDS)
             .filter(|&record| self.record(block, record).0 != 0)
             .count() as u32

@@ -3,8 +3,8 @@
 use std::fs;
 use std::time::{Duration, Instant};
 
-/// A stopwatch that stands while a thread of this machine waits for a core or a disk: it shows what
-/// programs take, not what others take from them. Where the kernel does not tell (`/proc/pressure`),
+/// A stopwatch that stands while a thread of this machine waits for a core or a disk, also one of the
+/// program that it measures: it shows what that takes, not what others take from it. Where the kernel does not tell (`/proc/pressure`),
 /// it never stands.
 #[derive(Clone, Copy, Debug)]
 pub struct Stopwatch {
@@ -34,7 +34,7 @@ impl Stopwatch {
 fn waited() -> Duration {
     let files = ["/proc/pressure/cpu", "/proc/pressure/io"].into_iter();
     let told = files.filter_map(|file| total(&fs::read_to_string(file).ok()?));
-    told.sum()
+    told.max().unwrap_or_default()
 }
 
 /// The microseconds at the end of the first line of such a file.
@@ -58,6 +58,9 @@ mod tests {
 
     #[test]
     fn it_stands_while_threads_wait_for_a_core() {
+        if waited() == Duration::ZERO {
+            return;
+        }
         let stopwatch = Stopwatch::start();
         let is_over = || stopwatch.begun.elapsed() > Duration::from_millis(400);
         let cores = thread::available_parallelism().unwrap().get();

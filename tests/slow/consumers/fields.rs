@@ -17,8 +17,7 @@ use zerocopy::IntoBytes;
 use super::python::{LIMIT, Talk, loans};
 use super::source::{Field, Struct, Table, Topic};
 use super::{folder, objects, of_project};
-use sweepd_testkit::library::compile;
-use sweepd_testkit::{python_package, python_with_numpy, temp_domain};
+use sweepd_testkit::{library::compile, python_package, python_with_numpy, temp_domain};
 
 const SHAPE: Shape = Shape {
     rows: 3,

@@ -16,9 +16,11 @@ use super::hostile::{Case, Fate, Hostile, cases, node, schema, service_name};
 use super::python::{Talk, loans, mapped, publish};
 use super::sweeps::Source;
 use super::{folder, objects};
-use sweepd_testkit::library::{c_program, compile};
-use sweepd_testkit::temp_domain;
-use sweepd_testkit::{PATIENCE, TempDomain};
+use sweepd_testkit::{
+    PATIENCE, TempDomain,
+    library::{c_program, compile},
+    temp_domain,
+};
 
 const SOON: Duration = PATIENCE;
 const SOON_MS: u64 = SOON.as_millis() as u64;

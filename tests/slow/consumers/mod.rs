@@ -33,6 +33,7 @@ fn of_project(path: &str) -> PathBuf {
 
 /// A folder for one test, empty at its beginning.
 fn folder(test: &str) -> PathBuf {
+    sweepd_testkit::share();
     let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR"))
         .join("consumers")
         .join(test);

@@ -20,8 +20,7 @@ use super::folder;
 use super::hostile::{Hostile, preamble};
 use super::native::{Fault, compare_refusals, programs, run};
 use super::python::{Talk, check};
-use sweepd_testkit::temp_domain;
-use sweepd_testkit::{PATIENCE, TempDomain};
+use sweepd_testkit::{PATIENCE, TempDomain, temp_domain};
 
 const SOON: Duration = PATIENCE;
 

@@ -21,9 +21,11 @@ use super::of_project;
 use super::programs::{SILENCE, cpp_examples};
 use super::python::Talk;
 use super::sending::Sending;
-use sweepd_testkit::library::rust_example;
-use sweepd_testkit::python_with_numpy;
-use sweepd_testkit::setup::{SOON, Setup};
+use sweepd_testkit::{
+    library::rust_example,
+    python_with_numpy,
+    setup::{SOON, Setup},
+};
 
 /// Height of the sensor over the floor, metres, nose up and right side down, degrees.
 const MOUNTS: [(f64, f64, f64); 2] = [(0.4, 0.0, 0.0), (0.9, -10.0, 4.0)];

@@ -18,9 +18,11 @@ use super::pallet::{commands, start};
 use super::python::{LIMIT, Talk, loans, numbered, publish};
 use super::sweeps::Source;
 use super::{folder, objects, of_project};
-use sweepd_testkit::TempDomain;
-use sweepd_testkit::library::{compile, library, rust_example};
-use sweepd_testkit::{python_package, python_with_numpy, temp_domain};
+use sweepd_testkit::{
+    TempDomain,
+    library::{compile, library, rust_example},
+    python_package, python_with_numpy, temp_domain,
+};
 
 fn nearest(sweep: &SweepRef<'_>) -> Option<f32> {
     sweep

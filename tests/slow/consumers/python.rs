@@ -17,8 +17,7 @@ use zerocopy::IntoBytes;
 
 use super::sweeps::SOURCES;
 use super::{folder, of_project};
-use sweepd_testkit::{PATIENCE, TempDomain};
-use sweepd_testkit::{python_package, python_with_numpy, temp_domain};
+use sweepd_testkit::{PATIENCE, TempDomain, python_package, python_with_numpy, temp_domain};
 
 /// Longer than anything here takes on a busy machine.
 pub const LIMIT: Duration = PATIENCE;

@@ -21,8 +21,7 @@ use super::hostile::{
 };
 use super::python::{Talk, check, loans, publish};
 use super::{folder, objects, of_project};
-use sweepd_testkit::temp_domain;
-use sweepd_testkit::{PATIENCE, TempDomain};
+use sweepd_testkit::{PATIENCE, TempDomain, temp_domain};
 
 const SOON: Duration = PATIENCE;
 

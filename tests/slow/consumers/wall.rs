@@ -16,8 +16,10 @@ use sweepd_lab::simulate::Emitter;
 
 use super::native::{programs, run};
 use super::{folder, of_project};
-use sweepd_testkit::wall::{MOUNT, TURN, VELOCITY, drive, off_the_wall, robot};
-use sweepd_testkit::{python_package, python_with_numpy};
+use sweepd_testkit::{
+    python_package, python_with_numpy,
+    wall::{MOUNT, TURN, VELOCITY, drive, off_the_wall, robot},
+};
 
 /// Sweeps beside the wall, measured without noise, and when the robot was at the origin.
 fn sweeps(model: Model) -> (Vec<HeapBuffer>, i64) {

@@ -7,9 +7,12 @@ use std::path::{Path, PathBuf};
 
 use sweepd::client::Domain;
 
-use sweepd_testkit::domain::shared_memory;
-use sweepd_testkit::setup::{Process, SOON, Setup};
-use sweepd_testkit::{free_port, temp_domain};
+use sweepd_testkit::{
+    domain::shared_memory,
+    free_port,
+    setup::{Process, SOON, Setup},
+    temp_domain,
+};
 
 /// The user `nobody`.
 const OTHER: u32 = 65_534;

@@ -9,10 +9,11 @@ use std::time::{Duration, Instant};
 use std::{fmt, fs};
 
 use crate::crashes::{Files, LIMIT, Robot, SETTLE, files, no_more};
-use sweepd_testkit::Stopwatch;
-use sweepd_testkit::cases;
-use sweepd_testkit::domain::clear;
-use sweepd_testkit::setup::{Process, SOON, Setup, Watch, sweepd};
+use sweepd_testkit::{
+    Stopwatch, cases,
+    domain::clear,
+    setup::{Process, SOON, Setup, Watch, sweepd},
+};
 
 /// The calls; not every machine has those with a question mark.
 const CALLS: &str = "openat,ftruncate,fchmod,?fchmodat,?chmod,write,?rename,?renameat,renameat2,bind,?unlink,unlinkat,\
@@ -345,6 +346,7 @@ fn kill_everywhere(victim: Victim, rounds: usize) {
             .map(|(_, point)| point)
             .collect()
     };
+    assert!(points.len() > FEW, "files are compared: {points:?}");
     let killed = AtomicUsize::new(0);
     let faults = std::thread::scope(|scope| {
         let (points, killed) = (&points, &killed);

@@ -5,8 +5,10 @@ use std::time::{Duration, Instant};
 
 use crate::crashes::torn::Torn;
 use crate::crashes::{LIMIT, Robot, SETTLE, count, files, no_more};
-use sweepd_testkit::Stopwatch;
-use sweepd_testkit::setup::{Process, SOON, sweepd};
+use sweepd_testkit::{
+    Stopwatch,
+    setup::{Process, SOON, sweepd},
+};
 
 /// Environment variable: how many consumers `random_kills` kills; a fifth as many daemons.
 const VARIABLE: &str = "SWEEPD_KILLS";

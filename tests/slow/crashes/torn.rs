@@ -11,8 +11,10 @@ use std::time::Duration;
 
 use sweepd::client::Client;
 
-use sweepd_testkit::library::c_program;
-use sweepd_testkit::setup::{Process, Setup};
+use sweepd_testkit::{
+    library::c_program,
+    setup::{Process, Setup},
+};
 
 /// The hash of each sweep, by its run and its number.
 type Hashes = HashMap<(i64, u64), u64>;

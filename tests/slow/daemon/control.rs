@@ -7,8 +7,7 @@ use std::time::{Duration, Instant};
 
 use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode;
-use sweepd_testkit::Stopwatch;
-use sweepd_testkit::stream::blank;
+use sweepd_testkit::{Stopwatch, stream::blank};
 
 use crate::daemon::child::{Daemon, is_free, write};
 use crate::daemon::rig::{

@@ -7,8 +7,7 @@ use std::sync::Arc;
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant, SystemTime};
 use sweepd::admission::Refusal;
-use sweepd_testkit::stream::next_sweep;
-use sweepd_testkit::{PATIENCE, Stopwatch};
+use sweepd_testkit::{PATIENCE, Stopwatch, stream::next_sweep};
 
 use sweepd::buffers::HeapBuffer;
 use sweepd::buffers::{HeapBuffers, Memory};
@@ -598,7 +597,7 @@ fn bursts_of_others_cost_a_sensor_nothing_from_the_second_on() {
     let foreign = UdpSocket::bind((Ipv4Addr::new(127, 0, 0, 47), 0)).unwrap();
     // Twice what the buffer holds, within a nap.
     let (count, span) = (2 * port.buffer.packets() as u32, Duration::from_millis(30));
-    let (since, mut lossless) = (Instant::now(), 0);
+    let (mut bursts, mut lossless) = (0, 0);
     while lossless < 5 {
         let (before, begun) = (port.counters.dropped.get(), Instant::now());
         for number in 0..count {
@@ -612,7 +611,8 @@ fn bursts_of_others_cost_a_sensor_nothing_from_the_second_on() {
         // Not in step with the turns.
         std::thread::sleep(Duration::from_millis(237));
         lossless += u32::from(port.counters.dropped.get() == before);
-        assert!(since.elapsed() < PATIENCE, "{lossless} bursts cost nothing");
+        bursts += 1;
+        assert!(bursts <= 10, "{lossless} of 10 bursts cost nothing");
     }
     runtime.stop().unwrap();
     drop(rig);

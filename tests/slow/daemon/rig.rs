@@ -16,9 +16,8 @@ use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode;
 use sweepd_lab::simulate::gps::{Clock, Reception};
 use sweepd_lab::simulate::{Emitter, EmitterConfig, street};
-use sweepd_testkit::PATIENCE;
-use sweepd_testkit::counting::of_this_thread;
 pub use sweepd_testkit::free_port;
+use sweepd_testkit::{PATIENCE, counting::of_this_thread};
 
 /// What happens to a thread that sends a sweep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -14,9 +14,12 @@ use sweepd::wire::data::ReturnMode::Strongest;
 use sweepd_testkit::{PATIENCE, TempDomain};
 
 use crate::doctor::{LOCAL, found, pandar40p, send, spin, vlp16};
-use sweepd_testkit::stream::{START_NS, Spin};
-use sweepd_testkit::web_page::WebPage;
-use sweepd_testkit::{free_port, temp_domain};
+use sweepd_testkit::{
+    free_port,
+    stream::{START_NS, Spin},
+    temp_domain,
+    web_page::WebPage,
+};
 
 /// A program that ends with the test.
 struct Program(Child);

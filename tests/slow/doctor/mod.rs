@@ -8,8 +8,7 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener, UdpSocket};
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use sweepd_testkit::free_port;
-use sweepd_testkit::{PATIENCE, stream};
+use sweepd_testkit::{PATIENCE, free_port, stream};
 
 use serde_json::{Value, json};
 use stream::Spin;

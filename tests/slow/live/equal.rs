@@ -16,8 +16,10 @@ use sweepd::input::Capture;
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sweep::SweepRef;
 
-use sweepd_testkit::same::same;
-use sweepd_testkit::setup::{Process, SOON, Setup};
+use sweepd_testkit::{
+    same::same,
+    setup::{Process, SOON, Setup},
+};
 
 /// What must be the same, by sensor time: all of a sweep but what the layout names as the host's.
 type Sweeps = BTreeMap<i64, Vec<u8>>;

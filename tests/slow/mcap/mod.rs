@@ -12,11 +12,11 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use sweepd_testkit::data_dir;
-use sweepd_testkit::setup::sweepd;
+use sweepd_testkit::{data_dir, setup::sweepd};
 
 /// A folder for one test, empty at its beginning.
 fn folder(test: &str) -> PathBuf {
+    sweepd_testkit::share();
     let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR"))
         .join("mcap")
         .join(test);

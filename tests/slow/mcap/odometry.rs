@@ -7,8 +7,7 @@ use sweepd::sweep::Pose;
 use sweepd::sweep::layout::flags;
 
 use crate::mcap::{folder, python};
-use sweepd_testkit::run::Run;
-use sweepd_testkit::setup::sweepd;
+use sweepd_testkit::{run::Run, setup::sweepd};
 
 /// When drives of `sweepd simulate` begin.
 const START_NS: i64 = 1_777_889_843_000_000_000;

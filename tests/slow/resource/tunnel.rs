@@ -13,8 +13,7 @@ use std::time::{Duration, Instant};
 use crate::resource::world::{World, binary};
 use sweepd::client::{Client, Domain, Next};
 use sweepd::host::realtime_ns;
-use sweepd_testkit::temp_domain;
-use sweepd_testkit::{PATIENCE, TempDomain};
+use sweepd_testkit::{PATIENCE, TempDomain, temp_domain};
 
 /// What the tunnel reads from its folder, and its options on both hosts: those of the page.
 const ICEORYX2: &str = "config/iceoryx2.toml";

@@ -5,8 +5,7 @@ use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-use sweepd_testkit::{PATIENCE, TempDomain};
-use sweepd_testkit::{free_port, temp_domain};
+use sweepd_testkit::{PATIENCE, TempDomain, free_port, temp_domain};
 
 /// A daemon's folder, ports, and the daemon.
 pub struct World {

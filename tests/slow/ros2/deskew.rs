@@ -19,8 +19,10 @@ use super::expected::STEP;
 use super::hurry;
 use super::peer::{Peer, Said};
 use super::world::World;
-use sweepd_testkit::setup::sweepd;
-use sweepd_testkit::wall::{MOUNT, TURN, VELOCITY, drive, off_the_wall, robot};
+use sweepd_testkit::{
+    setup::sweepd,
+    wall::{MOUNT, TURN, VELOCITY, drive, off_the_wall, robot},
+};
 
 /// DDS domains of these tests.
 const DDS_DOMAIN: u32 = 100;

@@ -6,11 +6,9 @@ use std::process::{Command, Stdio};
 use std::sync::OnceLock;
 
 use sweepd::client::Domain;
-use sweepd_testkit::daemon::run_command;
-use sweepd_testkit::{Daemon, Process, ReservedPort, TempDomain};
+use sweepd_testkit::{Daemon, Process, ReservedPort, TempDomain, daemon::run_command};
 
-use sweepd_testkit::setup::sweepd;
-use sweepd_testkit::temp_domain;
+use sweepd_testkit::{setup::sweepd, temp_domain};
 
 /// What the sensor `roof` of a [`World`] is, as lines of the daemon's configuration.
 pub const ROOF_MOUNT: &str = "x_m = 0.5\ny_m = 1.0\nz_m = 1.5\nyaw_deg = 90.0";

@@ -2,8 +2,7 @@
 //! does not crash it.
 
 use fastrand::Rng;
-use sweepd_testkit::Stopwatch;
-use sweepd_testkit::mutate::mutated;
+use sweepd_testkit::{Stopwatch, mutate::mutated};
 
 use super::*;
 

@@ -14,8 +14,10 @@ use std::time::SystemTime;
 use rusqlite::Connection;
 use sweepd::input::db3::{PATIENCE, Reader};
 use sweepd::input::{Capture, CaptureError};
-use sweepd_testkit::scan::{SCAN, Stamped, cdr};
-use sweepd_testkit::tool;
+use sweepd_testkit::{
+    scan::{SCAN, Stamped, cdr},
+    tool,
+};
 
 const S: i64 = 1_000_000_000;
 const MS: i64 = 1_000_000;

@@ -10,8 +10,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use sweepd_testkit::daemon::run_command;
-use sweepd_testkit::{Daemon, Process, ReservedPort, TempDomain, tool};
+use sweepd_testkit::{Daemon, Process, ReservedPort, TempDomain, daemon::run_command, tool};
 
 /// Longer than the slowest failure takes on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(55);

@@ -9,8 +9,7 @@ use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
 use serde_json::{Value, json};
-use sweepd_testkit::daemon::run_command;
-use sweepd_testkit::{Daemon, PATIENCE, Process, ReservedPort, TempDomain};
+use sweepd_testkit::{Daemon, PATIENCE, Process, ReservedPort, TempDomain, daemon::run_command};
 use tempfile::TempDir;
 use tokio::net::TcpStream;
 use tokio::runtime::{Builder, Runtime};

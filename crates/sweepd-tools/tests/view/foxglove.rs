@@ -9,8 +9,7 @@ use sweepd::pipeline::Config;
 use sweepd::sensor::Model;
 use sweepd::sweep::SweepRef;
 use sweepd::wire::data::ReturnMode;
-use sweepd_testkit::stream::Spin;
-use sweepd_testkit::{PATIENCE, TempDomain};
+use sweepd_testkit::{PATIENCE, TempDomain, stream::Spin};
 use tokio_tungstenite::tungstenite::Message;
 
 use crate::captures::{fixture, sweeps};

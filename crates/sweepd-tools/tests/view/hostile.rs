@@ -6,7 +6,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use serde_json::json;
-use sweepd_testkit::PATIENCE;
+use sweepd_testkit::{PATIENCE, Stopwatch};
 use tokio_tungstenite::tungstenite::Message;
 
 use crate::captures::fixture;
@@ -205,7 +205,12 @@ fn a_viewer_that_means_no_good_costs_nothing() {
         .map(|id| json!({ "id": id, "channelId": 3 }))
         .collect();
     let mut last_kb = Vec::new();
-    for _ in 0..6 {
+    // On a busy machine threads of former viewers end late, and each has memory of its own for a while.
+    while last_kb
+        .last_chunk()
+        .is_none_or(|[before, .., now]: &[u64; 4]| now.saturating_sub(*before) >= 4096)
+    {
+        assert!(last_kb.len() < 24, "{last_kb:?}");
         let mut viewer = view.viewer();
         viewer.until(|message| message["op"] == "advertise" && message["channels"][0]["id"] == 3);
         for garbage in [
@@ -249,8 +254,6 @@ fn a_viewer_that_means_no_good_costs_nothing() {
         assert!(viewer.is_closed());
         last_kb.push(resident_kb());
     }
-    let grown_kb = last_kb[5].saturating_sub(last_kb[2]);
-    assert!(grown_kb < 4096, "{last_kb:?}");
     is_well(&view);
 }
 
@@ -279,6 +282,7 @@ fn a_viewer_that_never_is_one_holds_up_nothing() {
 #[cfg(feature = "slow-tests")]
 #[test]
 fn a_viewer_that_takes_nothing_holds_up_nothing() {
+    let _alone = sweepd_testkit::alone();
     let view = View::start(&["--simulate", "hdl32e"]);
     let own = Some("foxglove.websocket.v1");
     let mut stuck: Vec<_> = (0..7).map(|_| view.viewer()).collect();
@@ -299,7 +303,7 @@ fn a_viewer_that_takes_nothing_holds_up_nothing() {
     }
     let seconds = begun.elapsed().as_secs_f64();
     assert!(
-        seconds > 8.0 && f64::from(seen) > seconds,
+        seconds > 8.0 && f64::from(seen) > 5.0 * seconds,
         "{seen} in {seconds} s"
     );
 }
@@ -405,13 +409,13 @@ fn a_client_that_says_nothing_is_dropped() {
     let mut silent: Vec<_> = (0..80)
         .map(|_| TcpStream::connect(&view.host).unwrap())
         .collect();
-    let begun = Instant::now();
+    let begun = Stopwatch::start();
     let mut first = silent.swap_remove(0);
     first.write_all(b"GET / HT").unwrap();
     first.set_read_timeout(Some(PATIENCE)).unwrap();
     let mut answer = Vec::new();
     let _ = first.read_to_end(&mut answer);
-    assert!(begun.elapsed() < PATIENCE);
+    assert!(begun.elapsed() < Duration::from_secs(15));
     drop(silent);
     let begun = Instant::now();
     while !view.get("/", &view.host).starts_with("HTTP/1.1 200 ") {
