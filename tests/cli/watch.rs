@@ -8,7 +8,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::{Folder, Ran, command, fixture, replay, sweepd, sweeps};
-use sweepd_testkit::{PATIENCE, TempDomain, temp_domain};
+use sweepd_testkit::{PATIENCE, TempDomain, copy_program, temp_domain};
 
 /// The binary in a domain of the test's own.
 fn within(own: &TempDomain, args: &[&str]) -> Command {
@@ -192,7 +192,7 @@ fn another_user_gets_an_error_that_names_the_owner() {
         // The binary is where nobody may look; a copy is not.
         let folder = Folder::new("nobody");
         let copy = folder.path("sweepd");
-        std::fs::copy(env!("CARGO_BIN_EXE_sweepd"), &copy).unwrap();
+        copy_program(&copy);
         for open in [folder.0.path(), own.folder()] {
             std::fs::set_permissions(open, Permissions::from_mode(0o755)).unwrap();
         }
@@ -243,7 +243,7 @@ fn who_may_not_look_into_the_folder_is_told_whose_it_is() {
     }
     let folder = Folder::new("closed");
     let [copy, run] = ["sweepd", "run"].map(|name| folder.path(name));
-    std::fs::copy(env!("CARGO_BIN_EXE_sweepd"), &copy).unwrap();
+    copy_program(&copy);
     std::fs::create_dir(&run).unwrap();
     std::fs::set_permissions(folder.0.path(), Permissions::from_mode(0o755)).unwrap();
     std::fs::set_permissions(&run, Permissions::from_mode(0o750)).unwrap();

@@ -42,7 +42,9 @@ pub use pool::{Alone, alone, share};
 pub use port::{ReservedPort, free_port};
 pub use process::{PATIENCE, Process};
 pub use python::{python, python_package, python_with_numpy};
-pub use repository::{HDL64E_UNITS, data_dir, data_dir_if_any, is_root, program, root, sweepd};
+pub use repository::{
+    HDL64E_UNITS, copy_program, data_dir, data_dir_if_any, is_root, program, root, sweepd,
+};
 pub use rustix::process::Signal;
 pub use stopwatch::Stopwatch;
 pub use tool::tool;

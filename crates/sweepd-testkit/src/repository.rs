@@ -31,6 +31,13 @@ pub fn program() -> PathBuf {
     tool("sweepd")
 }
 
+/// Copies the program `sweepd`. Another program does it: a file that is open for writing here would be open in what other
+/// tests start just then, and whoever runs the copy would be told that it is busy.
+pub fn copy_program(to: &Path) {
+    let copied = Command::new("cp").arg(program()).arg(to).status();
+    assert!(copied.unwrap().success(), "{}", to.display());
+}
+
 /// The program `sweepd` with these arguments, in the folder of the repository. A command that is a
 /// tool is refused where the tool is missing or stale.
 pub fn sweepd(args: &[&str]) -> Command {
