@@ -25,8 +25,8 @@ const ANSWER_BYTES: usize = 1 << 20;
 /// Numbers of `/health` that are no counters, and what its words tell.
 const UNTOLD: [&str; 3] = ["port", "position_port", "losses"];
 
-/// Values of a status at which no more numbers of the daemon are added, and longest name of one in bytes:
-/// anyone may answer in its place.
+/// Most values of a status with the numbers of the daemon, and longest name of one in bytes: anyone may answer in
+/// the place of the daemon.
 const MOST_VALUES: usize = 500;
 const LONGEST_NAME: usize = 100;
 
@@ -370,7 +370,7 @@ fn get(at: SocketAddr) -> io::Result<String> {
     String::from_utf8(answer).map_err(|_| io::ErrorKind::InvalidData.into())
 }
 
-/// What anyone says at `/health`. What is made of it is not much longer.
+/// Reads an answer of anyone at `/health`, and sees that the message made of it is not much longer.
 #[cfg(any(test, fuzzing))]
 pub fn fuzz(input: &[u8]) {
     let said = serde_json::from_slice(input).map_err(|error| error.to_string());

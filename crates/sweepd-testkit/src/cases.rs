@@ -1,4 +1,4 @@
-//! Which cases of a long test run: an eighth of them, another one each day that something lands, or all.
+//! Cases of a long test that run: an eighth of them, another one each day that something lands, or all.
 
 use std::iter::StepBy;
 use std::ops::RangeFrom;
@@ -21,12 +21,12 @@ pub fn chosen() -> StepBy<RangeFrom<usize>> {
     (first..).step_by(STRIDE)
 }
 
-/// Whether all cases run.
+/// True if all cases run.
 pub fn are_all() -> bool {
     chosen().nth(1) == Some(1)
 }
 
-/// Whether this case runs.
+/// True if this case runs.
 pub fn has(case: usize) -> bool {
     chosen().find(|chosen| *chosen >= case) == Some(case)
 }
@@ -36,7 +36,7 @@ pub fn has(case: usize) -> bool {
 pub struct Cases(usize);
 
 impl Cases {
-    /// Counts the next case, and says whether it runs.
+    /// Counts the next case. True if it runs.
     pub fn takes(&mut self) -> bool {
         let case = self.0;
         self.0 += 1;

@@ -51,7 +51,7 @@ pub fn share() {
     });
 }
 
-/// Whether this thread is a test's own, which has its name: others that it starts are covered by it.
+/// True on the thread of a test, which libtest gives the name of the test. Threads that this one starts share its part.
 fn is_of_a_test() -> bool {
     let thread = thread::current();
     thread.name().is_some_and(|name| name.contains("::"))

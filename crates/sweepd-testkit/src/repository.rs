@@ -62,14 +62,14 @@ pub fn data_dir() -> PathBuf {
     })
 }
 
-/// The same, for tests that need it not.
+/// The folder with real captures, if there is one: for tests that do without.
 pub fn data_dir_if_any() -> Option<PathBuf> {
     let dir = std::env::var_os("SWEEPD_DATA")
         .map_or_else(|| root().join("../shared/data"), PathBuf::from);
     dir.join("pcap").is_dir().then_some(dir)
 }
 
-/// Whether this is root, who alone can act as another user.
+/// True if root runs this, who alone can act as another user.
 pub fn is_root() -> bool {
     std::fs::metadata("/proc/self").is_ok_and(|own| std::os::unix::fs::MetadataExt::uid(&own) == 0)
 }

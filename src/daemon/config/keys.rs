@@ -488,7 +488,7 @@ mod tests {
         /// How scratches are found.
         SCRATCHES: Scratches, "scratches" "[scratches]"
 
-        /// What is nearer than this is scratched together, metres.
+        /// Distance below which returns are scratched together, metres.
         scratch_m = 0.25, Number(0.0..=0.5, "metres", metres) [min_gap_m], Reload text;
     }
 
@@ -507,7 +507,7 @@ mod tests {
     #[test]
     fn a_row_is_enough_for_example_file_checks_and_reload() {
         let example = "# How scratches are found.\n[scratches]\n\
-                       # What is nearer than this is scratched together, metres.\n#scratch_m = 0.25\n";
+                       # Distance below which returns are scratched together, metres.\n#scratch_m = 0.25\n";
         assert_eq!(SCRATCHES.example(), example);
         for (line, words) in [
             (

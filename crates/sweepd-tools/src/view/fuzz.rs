@@ -1,4 +1,4 @@
-//! What any program of this host can send to the server of the page: for a test, and for the fuzzer (tests/fuzz).
+//! Requests and messages that any program of this host can send to the page: for a test, and for the fuzzer (tests/fuzz).
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
@@ -141,7 +141,7 @@ pub fn page(input: &[u8]) {
     }
 }
 
-/// What a viewer of Foxglove says, a message a line.
+/// Messages of a Foxglove viewer, one a line.
 pub fn viewer(input: &[u8]) {
     let request =
         "GET / HTTP/1.1\r\nHost: localhost\r\nSec-WebSocket-Protocol: foxglove.websocket.v1\r\n";

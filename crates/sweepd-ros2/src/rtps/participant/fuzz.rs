@@ -1,4 +1,4 @@
-//! What any host can send a participant: for the tests, and for the fuzzer (tests/fuzz).
+//! Datagrams that any host can send a participant: for the tests, and for the fuzzer (tests/fuzz).
 #![cfg_attr(not(test), allow(dead_code))]
 
 use super::*;
@@ -16,7 +16,7 @@ pub(super) fn deaf(domain: u16) -> (Participant, WriterHandle) {
     deaf_within(domain, DiscoveryRange::Localhost)
 }
 
-/// The same with another range.
+/// A participant that hears nothing, with a discovery range of the test's.
 pub(super) fn deaf_within(domain: u16, range: DiscoveryRange) -> (Participant, WriterHandle) {
     let environment = Environment {
         domain,
@@ -258,10 +258,10 @@ pub(super) fn sensible_to_readers(prefix: Prefix) -> Vec<Vec<u8>> {
 
 /// A participant of others.
 const THEIRS: Prefix = [7; 12];
-/// What stands in an input where the prefix of the participant is meant.
+/// Prefix that stands in an input for that of the participant.
 const OURS: Prefix = [9; 12];
 
-/// Datagrams to a participant, each behind its length (`u16`, little-endian).
+/// Takes datagrams to a participant, each behind its length (`u16`, little-endian).
 pub fn datagrams(input: &[u8]) {
     let (participant, _writer) = deaf(229);
     with_readers(&participant);
@@ -280,7 +280,7 @@ pub fn datagrams(input: &[u8]) {
     }
 }
 
-/// What a participant says of its endpoints, and of itself.
+/// Takes a parameter list as that of a writer, of a reader and of a participant.
 pub fn parameter_list(input: &[u8]) {
     let (participant, _writer) = deaf(230);
     with_readers(&participant);
